@@ -15,9 +15,9 @@ import numpy as np
 from shapely import Polygon, box
 
 from benchmarks._memory import resident_mb
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.wheel_noise import OdometryNoise

@@ -26,10 +26,10 @@ from factors import (
     plane_factor,
     pose_prior,
 )
+from factors.association.observations import Observation
 from slam import SlamConfig
 from slam.evaluation.trajectories import absolute_error, read_relations, relation_errors
 from slam.frontend.keyframes import Keyframe, keyframes_of
-from slam.frontend.observations import Observation
 from slam.io.load import load
 from slam.io.trajectories import Trajectory
 from slam.runs.scan_trajectory import scan_trajectory

@@ -200,7 +200,7 @@ MUTATIONS = (
     ),
     Mutation(
         "covariance: of a wall that is not straight, about the wrong end",
-        "slam/frontend/observations.py",
+        "factors/association/observations.py",
         "((1.0, 0.0), (middle, 1.0))",
         "((1.0, 0.0), (-middle, 1.0))",
         "tests/slam/frontend/test_observations.py",

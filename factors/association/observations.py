@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot
 from typing import Any, Protocol, cast
@@ -225,6 +226,23 @@ class LineObservation:
         covariance[2, 2] = as_number("tilt_sigma_rad", tilt_sigma_rad) ** 2
         return Plane._trusted(self._frame, covariance, self.n_points)  # asked for several times a line and keyframe
 
+    def on_uneven_wall(self, sigma_m: float, correlation_m: float) -> LineObservation:
+        """The line with the error of a wall that is not straight, which the beams of one patch of it share.
+
+        Of the L / correlation patches of a line each is off by `sigma_m`: its middle by sigma^2 / patches, its
+        direction by 12 / L^2 times that. What the line's covariance already holds of it, as if every beam were off by
+        itself, is less.
+        """
+        line = self.line
+        patches = max(line.length / correlation_m, 1.0)
+        shift = sigma_m**2 * max(1.0 / patches - 1.0 / self.n_points, 0.0)
+        if shift == 0.0 or line.length == 0.0:
+            return self
+        middle = float(line.endpoints.mean(axis=0) @ line.direction)
+        jacobian = np.array(((1.0, 0.0), (middle, 1.0)))
+        extra = jacobian @ np.diag((12.0 * shift / line.length**2, shift)) @ jacobian.T
+        return replace(self, line=replace(line, covariance=line.covariance + extra))
+
     @cached_property
     def _frame(self) -> FloatArray:
         """Of `full_plane`."""
@@ -253,3 +271,8 @@ def as_observation(name: str, value: object) -> Observation:
         kind = type(value).__name__
         raise ValueError(f"{name}: expected a Plane, a PlaneObservation or a LineObservation, got {kind}")
     return cast("Observation", value)
+
+
+def planes_of(observations: Sequence[Observation]) -> list[Plane]:
+    """Those that are planes, in the body frame, in their order."""
+    return [observation.plane for observation in observations if isinstance(observation, PlaneObservation)]

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from slam.frontend.observations import LineObservation, Observation
+from factors.association.observations import LineObservation, Observation
 from slam.frontend.odometry import NO_FLOOR, Motion
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew

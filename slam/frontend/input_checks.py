@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from factors.association.observations import LineObservation, PlaneObservation
 from slam._field_types import check_fields
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig

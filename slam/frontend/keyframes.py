@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from factors.association.observations import LineObservation, Observation, PlaneObservation
 from slam.ahead import ordered_parallel_map
 from slam.config import SlamConfig
 from slam.errors import LogError
@@ -25,7 +26,6 @@ from slam.frontend.measurement import (
     planes_of_window,
     usable_ranges,
 )
-from slam.frontend.observations import LineObservation, Observation, PlaneObservation, on_real_wall
 from slam.frontend.occupancy.raster import beams_of
 from slam.frontend.odometry import Motion, OdometryTrack
 from slam.frontend.pose_measurements import PlaceMatch, PoseMeasurement
@@ -190,7 +190,7 @@ class _Lasers:
         kf_T_body = inverse(self._track.poses_at([stamp])[0]) @ self._track.poses_at([scan.stamp_ns])[0]
         measure = partial(lines_of_scan, unswept(scan, sensor, self._within), sensor, kf_T_body, config.lines)
         lines = [
-            on_real_wall(line, sensor.surface_sigma_m, sensor.surface_correlation_m)
+            line.on_uneven_wall(sensor.surface_sigma_m, sensor.surface_correlation_m)
             for line in _measured(measure, stamp, config, notes)
         ]
         return lines, beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from factors.association.observations import LineObservation, PlaneObservation
 from slam.config import SlamConfig
 from slam.frontend.deskewing import middle_ns, place_beams
-from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.frontend.scan_regions import (
     believed_planes,

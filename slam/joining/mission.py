@@ -11,9 +11,9 @@ import gtsam
 import numpy as np
 
 from factors.archive import ArchiveError, dumps, loads
+from factors.association.observations import planes_of
 from slam.backend.estimator import BackendError
 from slam.config import SlamConfig
-from slam.frontend.observations import planes_of
 from slam.geometry.frames import evenly
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from factors.association.decisions import AssociationGates, Candidate, Decision
 from factors.association.joint_association import joint_compatibility
+from factors.association.observations import Observation
 from slam.backend.estimator import Backend
-from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.map.landmarks import LandmarkMap
 

@@ -11,8 +11,8 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from factors import landmark_hesse
+from factors.association.observations import Observation
 from slam.backend.estimator import Backend
-from slam.frontend.observations import Observation
 from spplanes._check import FloatArray
 from spplanes.outlines.extents import Extent, settle_frames
 

@@ -11,10 +11,10 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
+from factors.association.observations import Observation
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, information_as_seen
-from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.frontend.wheel_calibration import shared_covariance
 from slam.map.landmarks import LandmarkMap

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from factors.association.gating import hypotheses_of
+from factors.association.observations import Observation
 from slam.backend.estimator import Backend
-from slam.frontend.observations import Observation
 from slam.lazy import Rows
 from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap

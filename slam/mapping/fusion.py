@@ -13,8 +13,8 @@ from scipy.special import chdtri
 
 from factors import plane_factor, plane_landmark
 from factors.association.estimate import observation_factor
+from factors.association.observations import Observation
 from slam.backend.estimator import BackendError, pose_symbol
-from slam.frontend.observations import Observation
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import EstimatorState

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
+from factors.association.observations import LineObservation
 from slam.backend.estimator import Backend, pose_symbols
 from slam.config import BOUND_SIGMAS, ObservabilityConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation
 from slam.map.landmarks import Landmark, LandmarkMap
 from slam.mapping.observability import NOTHING, OpenDirection, OpenStretch, gathered, wide_directions
 from spplanes._check import FloatArray

@@ -12,11 +12,11 @@ import numpy as np
 from factors import plane_factor, plane_landmark
 from factors.association.estimate import observation_factor
 from factors.association.grouping import group_planes
+from factors.association.observations import LineObservation, Observation, PlaneObservation
 from slam.backend.estimator import pose_symbol
 from slam.config import LandmarkConfig
 from slam.frontend.information import information_beyond_lines
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.geometry.frames import inverse
 from slam.map.data_association import Associate, Decision
 from slam.map.landmarks import Landmark, Sighting

@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from factors.association.observations import Observation
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import ObservabilityConfig
 from slam.frontend.information import floor_information, plane_information
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import Observation
 from slam.frontend.odometry import Motion
 from slam.lazy import Growing, Rows
 from slam.map.data_association import Decision

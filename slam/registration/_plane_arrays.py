@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from slam.geometry._polygon_kernels import Rings
-from slam.geometry.polygons import polygonal, valid
+from slam.geometry.polygons import Rings, polygonal, valid
 from spplanes import Plane
 from spplanes._check import FloatArray
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.geometry._polygon_kernels import come_near
+from slam.geometry.polygons import come_near
 from spplanes._jit import inlined, njit
 
 #: Motions that a rotation gives at most.

@@ -17,8 +17,8 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
+from factors.association.observations import planes_of
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import planes_of
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import are_apart, lift, planar_transform
 from slam.geometry.polygons import polygonal

@@ -13,9 +13,9 @@ from scipy.special import chdtri
 
 from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
+from factors.association.observations import Observation, PlaneObservation, planes_of
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import Observation, PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
 from slam.frontend.scan_surfaces import ITS_OWN, ON_PLANE
 from slam.geometry.frames import inverse

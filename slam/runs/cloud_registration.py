@@ -12,13 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors._conventions import POSE3_TO_SP
+from factors.association.observations import PlaneObservation, planes_of
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.registration import CloudMatch, judge
 from slam.diagnostics.verdict import Verdict
 from slam.diagnostics.views import ScanView, compare
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe, keyframes_of
-from slam.frontend.observations import PlaneObservation, planes_of
 from slam.frontend.odometry import Motion
 from slam.frontend.range_noise import with_shown_errors
 from slam.geometry.frames import inverse, planar_transform

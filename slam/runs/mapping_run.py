@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import shapely
 
+from factors.association.observations import PlaneObservation
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.measurement import for_sensor, planes_of_cloud, usable_ranges
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory

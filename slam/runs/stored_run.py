@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
+from factors.association.observations import Observation
 from slam.diagnostics.verdict import Verdict
 from slam.errors import LogError, check_run_given
 from slam.evaluation import Metric
-from slam.frontend.observations import Observation
 from slam.io.planes_json import read_map
 from slam.io.raw import damage_told, read_bytes
 from slam.io.trajectories import Trajectory, read_tum

@@ -16,9 +16,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from factors.association.observations import LineObservation, PlaneObservation
 from slam._field_types import check_fields, holds
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.frontend.pose_measurements import KINDS, PlaceMatch
 from slam.lazy import Stored

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from slam.frontend.observations import Observation
+from factors.association.observations import Observation
 from slam.loop_closure.closing import ClosedLoop
 from slam.loop_closure.verification import LoopDecision
 from slam.map.data_association import Candidate, Decision

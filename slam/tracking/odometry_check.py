@@ -16,9 +16,9 @@ from scipy.linalg import eigh
 from scipy.special import chdtri
 
 from factors._conventions import POSE3_TO_SP
+from factors.association.observations import planes_of
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import planes_of
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.map.landmarks import LandmarkMap

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from factors.association.observations import LineObservation
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation
 from slam.io.carmen import write_carmen
 from slam.io.clouds import read_cloud
 from slam.io.default_rigs import cloud_rig

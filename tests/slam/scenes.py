@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 from shapely import box
 
+from factors.association.observations import Observation, PlaneObservation
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import Observation, PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.planeslam import PlaneSlam

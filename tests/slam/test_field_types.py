@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from shapely import Point, Polygon, box
 
+from factors.association.observations import Observation
 from slam._field_types import check_fields, holds
-from slam.frontend.observations import Observation
 from slam.lazy import Growing
 
 

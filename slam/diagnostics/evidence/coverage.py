@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import expit
 
+from factors.association.observations import LineObservation, Observation, PlaneObservation
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M
-from slam.frontend.observations import LineObservation, Observation, PlaneObservation
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.mapping.observability import OpenStretch, name_of, sigma_along
 from slam.planeslam import PlaneSlam

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from factors.association.observations import planes_of
 from slam.diagnostics.evidence.surfaces import agreement
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import View, compare
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import planes_of
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import inverse
 from slam.sensors.rig import Mount, Rig

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
+from factors.association.observations import planes_of
 from slam.diagnostics.verdict import SIGNIFICANCE, Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M, V, compare, pairs_of, way_along
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import planes_of
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import evenly, inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.corpus.suite import START_M, Suite
+from factors.association.observations import PlaneObservation
 from slam.config import SlamConfig
 from slam.floorplan import FloorPlan, JointPlanes, Quantity, floor_plan, joint_planes
 from slam.frontend.keyframes import Keyframe, keyframes_of
-from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, settle_frame
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from factors.association.observations import LineObservation, PlaneObservation
 from slam.config import SlamConfig
 from slam.frontend.deskewing import unswept
 from slam.frontend.keyframes import keyframes_of
-from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import planar_transform
 from slam.sensors.log import LaserScan, OdometryReading

@@ -8,9 +8,9 @@ import gtsam
 import numpy as np
 import pytest
 
+from factors.association.observations import PlaneObservation
 from slam.config import SlamConfig
 from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan

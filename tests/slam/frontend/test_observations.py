@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.frontend.observations import LineObservation, PlaneObservation, on_real_wall
+from factors.association.observations import LineObservation, PlaneObservation
 from slam.geometry.frames import inverse, lift, settle_frame
 from slam.geometry.polygons import largest_polygon, polygons_of, segments_of
 from spplanes import ScanLine
@@ -88,7 +88,7 @@ def test_a_wall_that_is_not_straight_shares_its_error_by_patches():
     """Its variance at the middle of the line is that of the mean of its patches, at the ends four times that."""
     covariance = np.array([[4e-6, 5.5e-6], [5.5e-6, 9e-6]])
     plain = line(2.4, 3.0, covariance)
-    real = on_real_wall(LineObservation(plain, MOUNT), 0.01, 0.3).line
+    real = LineObservation(plain, MOUNT).on_uneven_wall(0.01, 0.3).line
     shift = 0.01**2 * (0.3 / 2.1 - 1.0 / 30.0)
     for share, times in ((0.0, 4.0), (0.5, 1.0), (1.0, 4.0)):
         point = plain.endpoints[0] + share * (plain.endpoints[1] - plain.endpoints[0])
@@ -99,5 +99,5 @@ def test_a_wall_that_is_not_straight_shares_its_error_by_patches():
 def test_a_wall_without_error_of_its_own_is_the_line_as_it_is():
     """And so is one of fewer points than patches: each is off by itself, which its covariance says already."""
     seen = LineObservation(line(0.7, 2.0, np.diag([1e-6, 1e-6])), MOUNT)
-    assert on_real_wall(seen, 0.0, 0.3) is seen
-    assert on_real_wall(seen, 0.01, 0.01) is seen
+    assert seen.on_uneven_wall(0.0, 0.3) is seen
+    assert seen.on_uneven_wall(0.01, 0.01) is seen

@@ -8,8 +8,8 @@ import shapely
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from slam.geometry._polygon_kernels import Rings, come_near
 from slam.geometry.frames import norms_of, poses_of
+from slam.geometry.polygons import Rings, come_near
 
 QUARTER = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
 

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from factors.association.observations import PlaneObservation
 from slam.config import SlamConfig
-from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, planar_transform
 from slam.joining import FinishedMission, JoinedMap, join
 from slam.joining.join import names_of

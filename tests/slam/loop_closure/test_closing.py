@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from shapely import box
 
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.closing import Closure

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from factors.association.observations import LineObservation
 from slam.backend.joint_covariance import motion_covariance
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation
 from slam.frontend.odometry import Motion, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform

@@ -14,9 +14,9 @@ from benchmarks.growth import mission
 from factors.association.decisions import AssociationGates, Candidate, decide, is_open
 from factors.association.gating import Hypothesis, State, chi2_and_log_det
 from factors.association.joint_association import JointCompatibility
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
 from slam.map.landmarks import LandmarkMap

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_distribution
 
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam, SlamConfig
 from slam.config import ThinningConfig
 from slam.diagnostics.evidence.innovations import odometry_evidence
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion, spatial_covariance
 from slam.geometry.frames import inverse, planar_transform
 from slam.map.sparsification import PoseSupport, _seen, chained

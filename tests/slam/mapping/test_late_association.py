@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from shapely import box
 
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from spplanes import Plane
 from tests.slam.scenes import drive, run_of
 

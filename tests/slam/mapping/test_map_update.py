@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from shapely.geometry import box
 
+from factors.association.observations import PlaneObservation
 from slam.config import LandmarkConfig
-from slam.frontend.observations import PlaneObservation
 from slam.mapping.map_update import bends, may_start
 from spplanes import Plane, fit_plane
 

@@ -9,10 +9,10 @@ import gtsam
 import numpy as np
 import pytest
 
+from factors.association.observations import LineObservation, PlaneObservation
 from slam import PlaneSlam
 from slam.config import ObservabilityConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation, PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.mapping.observability import name_of, open_directions, plane_information

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam
 from slam.config import KeyframeConfig, SlamConfig
 from slam.errors import LogError
 from slam.frontend.input_checks import silences, skipped
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.measurement import planes_of_cloud
-from slam.frontend.observations import PlaneObservation
 from slam.output.run_metrics import warnings_of
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, LaserScan, Log

@@ -15,10 +15,10 @@ import pytest
 from shapely import box
 
 from factors import map_prior, plane_landmark
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam, SlamConfig
 from slam.errors import LogError
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.planes_json import write_planes
 from slam.map.map_planes import MapPlane

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import shapely
 
+from factors.association.observations import LineObservation
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import keyframes_of
-from slam.frontend.observations import LineObservation
 from slam.sensors.log import StoredScan
 from slam.session._codec import decode, encode_and_compare, without_scans
 from slam.simulation import simulate_mission

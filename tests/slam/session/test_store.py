@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import shapely
 
+from factors.association.observations import LineObservation
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import LineObservation
 from slam.map.data_association import Candidate, Decision
 from slam.planeslam import pose_symbol
 from slam.sensors.log import CloudScan, LaserScan

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.drives import Drive, Recipe, make_drive
+from factors.association.observations import PlaneObservation
 from slam.config import SlamConfig
 from slam.frontend import odometry as odometry_readings
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.frontend.scan_surfaces import ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from shapely import box
 
+from factors.association.observations import PlaneObservation
 from slam.diagnostics.evidence.coverage import (
     ambiguity_evidence,
     assumption_evidence,
@@ -17,7 +18,6 @@ from slam.diagnostics.evidence.coverage import (
 from slam.diagnostics.evidence.surfaces import Surfaces, agreement, doubled_pairs, stopped_rays
 from slam.diagnostics.verdict import Evidence
 from slam.frontend.keyframes import Keyframe
-from slam.frontend.observations import PlaneObservation
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.pairwise_consistency import Proposal
