@@ -225,19 +225,22 @@ class PlaneSlam:
             self._merge_same_planes({older for older, _ in closure.pairs})
             self._closer.fix(closure)
 
-    def remap(self, places: Places, progress: Callable[[int, int], None] | None = None) -> PlaneSlam:
+    def remap(
+        self, places: Places, prior: PriorMap | None, progress: Callable[[int, int], None] | None = None
+    ) -> PlaneSlam:
         """The same keyframes through a new estimator, which knows beforehand what places some of them stand near.
 
         This one stays as it is, and so does what is recorded, until the new one is to `supersede` it.
 
         Args:
             places: by index of the keyframe; they take the place of those that it has.
+            prior: the map to localise in, and where in it the first keyframe is.
             progress: is told how many keyframes are done, and how many there are.
         """
         recorder = SecondPass(self.recorder, len(self.keyframes))
         slam = type(self)(
             self.config,
-            prior=self.prior,
+            prior=prior,
             recorder=recorder,
             segment=self.segment,
             associate=self._associate,
@@ -252,7 +255,8 @@ class PlaneSlam:
 
     def supersede(self, first: PlaneSlam, places: Places) -> None:
         """From here on this is the run: what was recorded of the `first` is replaced by what this one decided."""
-        first.recorder.mended(places, self.decisions)
+        start = None if self.prior is None else self.prior.world_T_start
+        first.recorder.mended(places, start, self.decisions)
         self.recorder = first.recorder
 
     def optimize_batch(self) -> gtsam.Values:

@@ -544,6 +544,20 @@ MUTATIONS = (
         "",
         "tests/slam/backend/test_estimator.py",
     ),
+    Mutation(
+        "repair: a start found in the prior map leaves the floor",
+        "slam/runs/repair.py",
+        "        off[list(PLANE)] = 0.0",
+        "        pass",
+        "tests/slam/runs/test_repair.py",
+    ),
+    Mutation(
+        "session: the start that was found is forgotten",
+        "slam/session/replay.py",
+        "        prior = replace(prior, world_T_start=session.start)\n",
+        "        pass\n",
+        "tests/slam/runs/test_repair.py",
+    ),
 )
 
 

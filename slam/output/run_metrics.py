@@ -39,9 +39,11 @@ def metrics_of(run: Run) -> list[Metric]:
         Metric("planes in the map", len(run.planes), ""),
         Metric("landmarks tried", len(run.slam.landmarks), ""),
     ]
-    if run.repairs:
-        rows.append(Metric("places laid anew", sum(repair.moved for repair in run.repairs), ""))
-        rows.append(Metric("  the farthest by", max(repair.offset_m for repair in run.repairs), "m"))
+    if places := [repair for repair in run.repairs or () if repair.places]:
+        rows.append(Metric("places laid anew", sum(repair.moved for repair in places), ""))
+        rows.append(Metric("  the farthest by", max(repair.offset_m for repair in places), "m"))
+    if starts := [repair for repair in run.repairs or () if repair.planes]:
+        rows.append(Metric("start in the prior map moved by", starts[-1].offset_m, "m"))
     known = [landmark for landmark in run.slam.landmarks if landmark.known]
     if known:
         again = sum(bool(landmark.sightings or landmark.seen_by_past) for landmark in known)

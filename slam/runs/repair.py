@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
+from factors._conventions import POSE3_TO_SP
 from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.verdict import Verdict
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.pose_measurements import PlaceMatch
+from slam.geometry.frames import inverse
+from slam.io.trajectories import Trajectory
+from slam.joining.join import SIGNIFICANCE
+from slam.joining.mission import FinishedMission, Mission
+from slam.joining.overlap import compare_missions
 from slam.loop_closure.whole_drive import Agreement, agreement
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
-from slam.session.replay import ForgottenKeyframes
+from slam.session.prior_map import PriorMap
+from slam.session.replay import ForgottenKeyframes, Places
+from spplanes._check import FloatArray
+from spplanes.spmodel import PLANE, rpy_from_transform, transform_from_rpy
 
 #: A map is mended again while that makes it better, at most so often.
 _ROUNDS = 3
 #: Verdicts, the better first.
 _GRADES = ("sound", "doubtful", "broken")
+
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -33,13 +45,20 @@ class Repair:
     moved: int
     """Those that the map before had elsewhere, by more than a map may err."""
     offset_m: float
-    """The farthest of them, m."""
+    """The farthest of them, or the start in the prior map, m."""
     before: str
     """The verdict on the map before, in one line."""
+    planes: int = 0
+    """Planes of the prior map that the drive, mapped without it, has too, and that gave its start; 0: it was kept."""
 
     @property
     def sentence(self) -> str:
         """For people."""
+        if self.planes:
+            return (
+                f"repaired: by {self.planes} planes of the prior map that the drive alone has too, it started "
+                f"{self.offset_m:.2g} m from where that was said; before, {self.before}"
+            )
         return (
             f"repaired: {self.moved} of {self.places} places that the drive passed again lay up to {self.offset_m:.2g} "
             f"m from where all of it together has them; before, {self.before}"
@@ -57,44 +76,97 @@ class Repaired(NamedTuple):
     """One after the other."""
 
 
-def repaired(slam: PlaneSlam, rig: Rig, progress: Callable[[int, int], None] | None = None) -> Repaired:
+class _Alternative(NamedTuple):
+    """Another way to explain a drive."""
+
+    places: Places
+    """That keyframes stand near, by the later keyframe."""
+    prior: PriorMap | None
+    """With the start in it."""
+    repair: Repair
+    """What it would mend."""
+
+
+def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Repaired:
     """The verdict on a run that has ended, and the run mended where it is not sound and the drive tells how.
 
     The verdict names what contradicts the map. The other way to explain the drive is the one that all stretches of it
-    agree on when each is held against each (`slam.loop_closure.whole_drive`): where places are elsewhere by that, the
-    keyframes are mapped again with these places known. The new map is kept where the evidence speaks less against it,
-    and mended again until nothing gets better. Drives with level lasers on a floor are; what is localised in a prior
-    map is not.
+    agree on when each is held against each (`slam.loop_closure.whole_drive`), for drives with level lasers on a floor;
+    in a prior map, the start from which the map of the drive alone lies on it (`slam.joining.overlap`). Where places
+    are elsewhere by that, the keyframes are mapped again with these known. The new map is kept where the evidence
+    speaks less against it, and mended again until nothing gets better.
     """
-    if not is_open_to_repair(slam) or all(frame.returns is None for frame in slam.keyframes):
+    if not is_open_to_repair(slam) or (slam.prior is None and all(frame.returns is None for frame in slam.keyframes)):
         return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it
-    with slam.clock.stage("verdict"):
-        verdict = assess_run(slam, rig)
+    verdict = _assessed(slam, rig)
     repairs: list[Repair] = []
     while verdict.verdict != "sound" and len(repairs) < _ROUNDS:
-        found = agreement(slam.keyframes, slam.trajectory.poses, slam.config.loops)
-        moved = 0 if found is None else int((found.offsets_m > TOLERANCE_M).sum())
-        if found is None or not moved:
+        if slam.prior is None:
+            found = _other_places(slam, verdict)
+        else:
+            found = _other_start(slam, slam.prior, rig, verdict, progress)
+        if found is None:
             break
-        places = _places_of(found, slam.keyframes)
-        other = slam.remap(places, progress)
-        with slam.clock.stage("verdict"):
-            judged = assess_run(other, rig)
+        other = slam.remap(found.places, found.prior, progress)
+        judged = _assessed(other, rig)
         if _badness(judged) >= _badness(verdict):
             break
-        other.supersede(slam, places)
-        repairs.append(Repair(len(found.proposals), moved, float(found.offsets_m.max()), verdict.line))
+        other.supersede(slam, found.places)
+        repairs.append(found.repair)
         slam, verdict = other, judged
     return Repaired(slam, verdict, tuple(repairs))
 
 
 def is_open_to_repair(slam: PlaneSlam) -> bool:
-    """Whether loops are looked for at all, nothing but the drive itself says where it was, and it is in memory."""
-    return (
-        slam.config.loops.max_candidates > 0
-        and slam.prior is None
-        and not isinstance(slam.keyframes, ForgottenKeyframes)
-    )
+    """Whether places or a start may be looked for at all, and the keyframes are in memory."""
+    wanted = slam.prior is not None or slam.config.loops.max_candidates > 0
+    return wanted and not isinstance(slam.keyframes, ForgottenKeyframes)
+
+
+def _assessed(slam: PlaneSlam, rig: Rig) -> Verdict:
+    with slam.clock.stage("verdict"):
+        return assess_run(slam, rig)
+
+
+def _other_places(slam: PlaneSlam, verdict: Verdict) -> _Alternative | None:
+    """What all stretches of the drive agree on, where the map has that elsewhere."""
+    found = agreement(slam.keyframes, slam.trajectory.poses, slam.config.loops)
+    moved = 0 if found is None else int((found.offsets_m > TOLERANCE_M).sum())
+    if found is None or not moved:
+        return None
+    repair = Repair(len(found.proposals), moved, float(found.offsets_m.max()), verdict.line)
+    return _Alternative(_places_of(found, slam.keyframes), None, repair)
+
+
+def _other_start(
+    slam: PlaneSlam, prior: PriorMap, rig: Rig, verdict: Verdict, progress: Progress | None
+) -> _Alternative | None:
+    """The start from which the map of the drive alone lies on the prior map, where that is another one."""
+    try:
+        alone = FinishedMission.of("drive", slam.remap({}, None, progress), rig).mission
+    except ValueError:
+        return None  # it leaves planes open
+    nobody = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    known = Mission("prior map", tuple(prior.planes), prior.covariance, nobody, ())
+    found = compare_missions(known, alone, slam.config, significance=SIGNIFICANCE)
+    if found.verdict != "joined" or found.alignment is None:
+        return None
+    laid = found.alignment
+    spread = prior.start_covariance + laid.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    # the tangent of a_T_b on the right is that of the first pose, which is where the drive alone begins
+    off = rpy_from_transform(inverse(prior.world_T_start) @ laid.a_T_b @ alone.trajectory.poses[0])
+    if _is_likely(off, spread):
+        return None
+    if _is_likely(off[list(PLANE)], spread[np.ix_(PLANE, PLANE)]):
+        off[list(PLANE)] = 0.0  # height and tilt were right: what stands on a floor stands there elsewhere too
+    start = prior.world_T_start @ transform_from_rpy(off)
+    offset_m = float(np.linalg.norm(off[:3]))
+    repair = Repair(0, 0, offset_m, verdict.line, planes=len(laid.pairs))
+    return _Alternative({}, replace(prior, world_T_start=start), repair)
+
+
+def _is_likely(off: FloatArray, covariance: FloatArray) -> bool:
+    return bool(off @ np.linalg.solve(covariance, off) <= chdtri(len(off), SIGNIFICANCE))
 
 
 def _places_of(found: Agreement, keyframes: Sequence[Keyframe]) -> dict[int, tuple[PlaceMatch, ...]]:

@@ -19,6 +19,7 @@ from slam.sensors.rig import Rig
 from slam.session._codec import CodecError, decode, keyframe_of
 from slam.session._file import SessionDamaged, SessionError, digest, translated
 from slam.session.opening import OpenFile
+from spplanes._check import FloatArray, as_transform
 
 #: Places by the keyframe that stands near them.
 Places = Mapping[int, Sequence[PlaceMatch]]
@@ -69,6 +70,8 @@ class SessionRecords:
         self.prior = parameters["prior"]
         #: Places found after the drive, by the keyframe that stands near them; a keyframe is read with its own.
         self.places = self._read_places()
+        #: Start in the prior map, shape (4, 4), found after the drive; None: the one that the prior map says.
+        self.start = self._read_start()
         self._last = b""
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
         if damaged:  # nobody knows how many there were
@@ -120,6 +123,13 @@ class SessionRecords:
             return {} if data is None else dict(decode(data, list[tuple[int, tuple[PlaceMatch, ...]]]))
         except CodecError as error:
             raise SessionError(f"{self.path}: expected places that were found, got something else ({error})") from error
+
+    def _read_start(self) -> FloatArray | None:
+        data = self._read("session", "start")
+        try:
+            return None if data is None else as_transform("start", decode(data))
+        except ValueError as error:  # as a CodecError is
+            raise SessionError(f"{self.path}: expected a start that was found, got something else ({error})") from error
 
     def decisions(self, index: int) -> list[Decision] | None:
         """What the measurements of a keyframe were taken for; None: not recorded."""

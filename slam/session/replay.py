@@ -22,6 +22,7 @@ from slam.session._codec import encode
 from slam.session.opening import session_path
 from slam.session.prior_map import PriorMap
 from slam.session.store import Places, Session, SessionError
+from spplanes._check import FloatArray
 
 #: What a session is replayed into: made of a configuration, a prior map and a recorder, and fed keyframes.
 Slam = TypeVar("Slam")
@@ -53,8 +54,8 @@ class Recorder:
     def decided(self, index: int, decisions: Sequence[Decision]) -> None:
         """What each of them was taken for, before its factor is added."""
 
-    def mended(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
-        """All keyframes were matched anew with more places known: these decisions take the place of those before."""
+    def mended(self, places: Places, start: FloatArray | None, decisions: Sequence[Sequence[Decision]]) -> None:
+        """All keyframes were matched anew with more places, or another start, known: the decisions are these now."""
 
     def close(self) -> None:
         """Nothing more will come."""
@@ -124,9 +125,9 @@ class SessionRecorder(Recorder):
         elif not self.session.read_only:
             self.session.add_decisions(index, decisions)
 
-    def mended(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
-        """Commit both at once."""
-        self.session.mend(places, decisions)
+    def mended(self, places: Places, start: FloatArray | None, decisions: Sequence[Sequence[Decision]]) -> None:
+        """Commit all at once."""
+        self.session.mend(places, start, decisions)
 
     def close(self) -> None:
         """Close the session."""
@@ -154,6 +155,8 @@ def open_slam(
 def resumed(kind: Callable[..., Slam], session: Session, recorder: SessionRecorder) -> Slam:
     """An estimator in the state that a session ended in; decisions that come out otherwise are a SessionError."""
     prior = None if session.prior is None else PriorMap.from_bytes(session.prior)
+    if prior is not None and session.start is not None:
+        prior = replace(prior, world_T_start=session.start)
     slam: Any = kind(session.config, prior=prior, recorder=recorder)
     for entry in session.entries():
         slam.add_keyframe(entry.keyframe)

@@ -28,6 +28,7 @@ from slam.session._file import (
 from slam.session._records import Entry, Places, RawScan, SessionRecords
 from slam.session.opening import check_session_given, make_file, open_file, promise, put, session_path, writing
 from spplanes import __version__
+from spplanes._check import FloatArray
 
 __all__ = ["Entry", "RawScan", "Session", "SessionDamaged", "SessionError", "StorageError"]
 
@@ -129,8 +130,8 @@ class Session(SessionRecords):
         with self._on_the_way():
             self._put_decisions(index, decisions)
 
-    def mend(self, places: Places, decisions: Sequence[Sequence[Decision]]) -> None:
-        """Record places that were found after the drive, and what all measurements were taken for with them known.
+    def mend(self, places: Places, start: FloatArray | None, decisions: Sequence[Sequence[Decision]]) -> None:
+        """Record places, and a start in the prior map, found after the drive, and all decisions with them known.
 
         One transaction: a session is the one that it was, or the one that is replayed to the mended map; until `finish`
         it has no results.
@@ -139,11 +140,13 @@ class Session(SessionRecords):
         data = encode([(index, found) for index, found in sorted(known.items())])
         with self._writing():
             put(self._db, "session", "places", data)
+            if start is not None:
+                put(self._db, "session", "start", encode(start))
             self._db.execute("DELETE FROM decisions")
             for index, decision in enumerate(decisions):
                 self._put_decisions(index, decision)
             self._seal("running")
-        self.places = known
+        self.places, self.start = known, start
 
     def _put_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         data = encode(list(decisions))
@@ -253,6 +256,8 @@ def _copy_beginning(path: Path, target: Path) -> int:
         Session.open(path, read_only=True, damaged=True) as old,
         Session.create(target, old.config, rig=old.rig, prior=old.prior, log=old.log) as new,
     ):
+        if old.start is not None:
+            new.mend({}, old.start, ())
         for index in count():
             try:
                 keyframe = old.keyframe(index)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.corpus import drives as corpus
 from slam import PlaneSlam
 from slam.cli import app
 from slam.config import LoopConfig, SlamConfig
@@ -21,9 +23,9 @@ from slam.geometry.frames import inverse, planar_transform
 from slam.io.default_rigs import default_rig_for
 from slam.output.run_metrics import details_of, metrics_of
 from slam.runs.repair import is_open_to_repair, repaired
-from slam.runs.slam_run import Run, odometry_of
+from slam.runs.slam_run import Run, odometry_of, run_slam
 from slam.session._codec import encode
-from slam.session.replay import Places
+from slam.session.replay import Places, SessionRecorder
 from slam.session.store import Session, SessionDamaged, salvage_session
 from slam.simulation import simulate_mission
 from tests.slam.diagnostics.evidence.test_look import turned
@@ -157,6 +159,67 @@ def test_numbers_and_table_tell_what_was_repaired(mended, truth: Drive):
 )
 def test_where_no_loops_are_looked_for_none_are_mended(change: Callable[[SlamConfig], SlamConfig], keeps: bool):
     assert is_open_to_repair(PlaneSlam(change(SlamConfig()))) is keeps
+
+
+@pytest.fixture(scope="module")
+def misplaced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, corpus.Drive, Path]:
+    """A run, and its session, in a map of its building from a start 2 m off, of which 0.3 m were said."""
+    drive = corpus.make_drive(corpus.Recipe.parse("office/level/absent/prior_start"), 130035)
+    path = tmp_path_factory.mktemp("misplaced") / "session.db"
+    session = Session.create(path, SlamConfig(), rig=drive.rig, prior=drive.prior.to_bytes())
+    slam = PlaneSlam(SlamConfig(), prior=drive.prior, recorder=SessionRecorder(session))
+    with closing(slam):
+        run = run_slam(drive.log, drive.rig, SlamConfig(), slam=slam)
+        assert run.verdict.verdict == "sound"
+    return run, drive, path
+
+
+def test_a_wrong_start_in_a_prior_map_is_found(misplaced: tuple[Run, corpus.Drive, Path]):
+    run, drive, path = misplaced
+    true = drive.truth.poses_at(run.trajectory.stamps_ns)
+    off = np.linalg.inv(true) @ run.trajectory.poses
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.02  # 9.7 m by the start that was said
+    [repair] = run.repairs
+    away = inverse(drive.prior.world_T_start) @ true[0]
+    assert repair.offset_m == pytest.approx(np.linalg.norm(away[:3, 3]), abs=0.01) and repair.planes > 10
+    assert repair.before.startswith("the map is broken") and "it started 2 m from" in repair.sentence
+    assert "start in the prior map moved by" in {row.name for row in metrics_of(run)}
+    start = run.slam.prior.world_T_start
+    assert (start[2, 3], start[2, 2]) == (0.0, 1.0)  # the floor, of which the start was right
+    with PlaneSlam.open(path, read_only=True) as again:
+        assert again.trajectory.poses.tobytes() == run.trajectory.poses.tobytes()
+
+
+def test_a_start_that_was_found_is_told_from_a_damaged_one_and_is_salvaged(misplaced, tmp_path: Path):
+    path, damaged, saved = misplaced[2], tmp_path / "damaged.db", tmp_path / "saved.db"
+    for copy, what in (
+        (damaged, "UPDATE session SET data = data || X'00' WHERE key = 'start'"),
+        (saved, "UPDATE keyframes SET data = data || X'00' WHERE id = 20"),
+    ):
+        copy.write_bytes(path.read_bytes())
+        with sqlite3.connect(copy) as other:
+            other.execute(what)
+    with pytest.raises(SessionDamaged, match="start"):
+        Session.open(damaged, read_only=True)
+    salvage_session(saved)
+    with PlaneSlam.open(saved, read_only=True) as again, PlaneSlam.open(path, read_only=True) as whole:
+        assert len(again.keyframes) == 20
+        assert np.array_equal(again.prior.world_T_start, whole.prior.world_T_start)
+
+
+@pytest.mark.parametrize(
+    ("name", "asks"),
+    [("office/level/good/prior", 0), ("office/lidar16/good/prior_elsewhere", 1)],
+)
+def test_a_right_start_is_kept_and_in_another_building_there_is_none(
+    name: str, asks: int, monkeypatch: pytest.MonkeyPatch
+):
+    asked, remap = [], PlaneSlam.remap
+    monkeypatch.setattr(PlaneSlam, "remap", lambda slam, *args: asked.append(args[1]) or remap(slam, *args))
+    drive = corpus.make_drive(corpus.Recipe.parse(name), 130035)
+    run = run_slam(drive.log, drive.rig, SlamConfig(), slam=PlaneSlam(SlamConfig(), prior=drive.prior))
+    assert run.repairs == () and asked == [None] * asks
+    assert (run.verdict.verdict == "sound") is (asks == 0)
 
 
 def test_places_that_a_user_knows_close_a_loop(frames: list[Keyframe], truth: Drive):
