@@ -558,6 +558,13 @@ MUTATIONS = (
         "        pass\n",
         "tests/slam/runs/test_repair.py",
     ),
+    Mutation(
+        "verdict: all rays of a push-broom laser begin at its keyframe",
+        "slam/diagnostics/evidence/surfaces.py",
+        '        if sensor.kind == "slice":\n',
+        '        if sensor.kind == "":\n',
+        "tests/slam/diagnostics/evidence/test_coverage.py",
+    ),
 )
 
 

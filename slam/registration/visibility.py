@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +42,8 @@ class LinesOfSight:
     """Of its plane's weight what each ray carries, shape (N,)."""
     walls: tuple[tuple[FloatArray, shapely.Polygon | shapely.MultiPolygon], ...]
     """Frame (4, 4) and outline, less its border, of the known planes."""
+    starts: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Where the rays begin in that frame, shape (3,) or, of a sensor that moved on meanwhile, (N, 3), m."""
 
     @classmethod
     def between(cls, seen: Sequence[Plane], weights: FloatArray, known: Sequence[Plane]) -> LinesOfSight:
@@ -58,18 +60,19 @@ class LinesOfSight:
 
     def stopped_by(self, known_T_sensor: FloatArray) -> np.ndarray:
         """For every ray the first of the walls, by number, that would stop it, -1 for none, shape (N,)."""
-        origin, rays = known_T_sensor[:3, 3], self.ends @ known_T_sensor[:3, :3].T
+        origin, turn = known_T_sensor[:3, 3], known_T_sensor[:3, :3].T
+        rays, starts = (self.ends - self.starts) @ turn, np.broadcast_to(self.starts, self.ends.shape) @ turn
         lengths = np.linalg.norm(rays, axis=1)
         stopped = np.full(len(rays), -1)
         for number, (frame, outline) in enumerate(self.walls):
             normal = frame[:3, 2]
             along = rays @ normal
             with np.errstate(divide="ignore", invalid="ignore"):
-                reached = (normal @ (frame[:3, 3] - origin)) / along
+                reached = (normal @ (frame[:3, 3] - origin) - starts @ normal) / along
                 near = (reached * lengths > _BEFORE_M) & ((1.0 - reached) * np.abs(along) > _BEFORE_M)
             met = np.flatnonzero(near & (np.abs(along) > _STEEP * lengths) & (stopped < 0))
             if len(met):
-                places = lift(origin + reached[met, None] * rays[met], inverse(frame))
+                places = lift(origin + starts[met] + reached[met, None] * rays[met], inverse(frame))
                 stopped[met[shapely.contains_xy(outline, places[:, 0], places[:, 1])]] = number
         return stopped
 

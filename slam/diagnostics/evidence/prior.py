@@ -48,8 +48,8 @@ def prior_evidence(run: PlaneSlam, rig: Rig, views: Mapping[int, View], surfaces
         yield Evidence("prior map", "doubtful", 0.0, 0.0, "of planes", frames, f"{sentence} ({named(frames)})")
         return
     through = Counter(_through(known, run, views))
-    for sensor in rig.of_kind("cloud").values():
-        through.update(stopped_rays(run.keyframes, run.trajectory.poses, surfaces, sensor.body_T_sensor))
+    for sensor in (rig.of_kind("cloud") or rig.of_kind("slice")).values():
+        through.update(stopped_rays(run.keyframes, run.trajectory.poses, surfaces, sensor))
     missed = sum(one.id not in seen and through[one.id] > 0 for one in known)
     in_view = len(seen) + missed
     yield Evidence(

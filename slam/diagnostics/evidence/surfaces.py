@@ -18,6 +18,7 @@ from slam.geometry.frames import evenly, inverse, lift
 from slam.geometry.polygons import flatten, polygonal, valid
 from slam.planeslam import PlaneSlam
 from slam.registration.visibility import LinesOfSight, points_on
+from slam.sensors.rig import Sensor
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -25,6 +26,8 @@ from spplanes._check import FloatArray
 _MOST_KEYFRAMES = 60
 #: A ray counts as through a plane so far inside its border, m: outlines are rougher than this nowhere.
 _INSIDE_M = 0.1
+#: A slice lies across the way it goes from this sine of the angle between them on.
+_ACROSS = 0.5
 #: Planes whose normals are within 10 deg may be one.
 ALIKE = float(np.cos(np.deg2rad(10.0)))
 
@@ -60,13 +63,22 @@ def _without_border(outline: _Area | None) -> _Area | None:
 
 
 def stopped_rays(
-    keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Surfaces, body_T_sensor: FloatArray
+    keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Surfaces, sensor: Sensor
 ) -> Counter[int]:
-    """Rays of a 3D sensor to the planes that keyframes at poses (N, 4, 4) saw: how many each landmark would stop."""
+    """Rays of a sensor to the planes that keyframes at poses (N, 4, 4) saw: how many each landmark would stop.
+
+    A 3D sensor sees all from one place; the plane that a slice turns in passes what it sees as the body goes ahead.
+    """
     found: Counter[int] = Counter()
+    body_T_sensor = sensor.body_T_sensor
+    ahead = body_T_sensor[0, :3]  # the body's x axis in the frame of the sensor
+    if sensor.kind == "slice" and abs(ahead[2]) < _ACROSS:
+        return found  # it turns in the way it goes: who knows from where it saw what
     for index in evenly(len(keyframes), _MOST_KEYFRAMES):
         seen = [plane.transform(inverse(body_T_sensor)) for plane in planes_of(keyframes[index].observations)]
         sight = replace(LinesOfSight.between(seen, np.ones(len(seen)), ()), walls=surfaces.walls)
+        if sensor.kind == "slice":
+            sight = replace(sight, starts=sight.ends[:, 2:] / ahead[2] * ahead)
         stopped_by = sight.stopped_by(poses[index] @ body_T_sensor)
         found.update(surfaces.ids[number] for number in stopped_by[stopped_by >= 0].tolist())
     return found
