@@ -104,6 +104,8 @@ class PlaneSlam:
         #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them; and of every one
         #: placed by what it saw alone, the other places that this fits.
         self.unplaced, self.rivals = self._motion_model.unplaced, self._motion_model.rivals
+        #: Keyframes after wheels stood while the robot drove, and how far what was seen there left the way open, m.
+        self.left_open = self._motion_model.left_open
         #: Innovations of what was matched, against their chi2; directions that single keyframes left open.
         self.audit, self.observability = NisAudit(), Observability(self.config.observability)
         #: Observations matched after their own keyframe, to landmarks born later.

@@ -565,6 +565,13 @@ MUTATIONS = (
         '        if sensor.kind == "":\n',
         "tests/slam/diagnostics/evidence/test_coverage.py",
     ),
+    Mutation(
+        "verdict: what planes leave open after wheels stood is forgotten",
+        "slam/tracking/prediction.py",
+        "            self.left_open[index] = sigmas_of(found)[0]\n",
+        "            pass\n",
+        "tests/slam/frontend/test_stalled_wheels.py",
+    ),
 )
 
 

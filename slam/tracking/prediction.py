@@ -29,6 +29,7 @@ from slam.registration.relocalization import (
     is_poorly_known,
     place_of,
     planes_about,
+    sigmas_of,
 )
 from slam.registration.submaps import anchored
 from slam.tracking.calibration_by_graph import CalibrationByGraph
@@ -106,6 +107,9 @@ class MotionModel:
         self.calibration = WheelCalibration()
         #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
         self.unplaced: list[int] = []
+        #: Keyframes after wheels stood while the robot drove, and how far their planes, all that was seen, leave the
+        #: way there open, m: on a motion that goes on as before there is at least its velocity.
+        self.left_open: dict[int, float] = {}
         #: Of every keyframe placed by what it saw alone, the other places that this fits.
         self.rivals: dict[int, Rivals] = {}
         self.odometry_record = OdometryRecord(state.config.association.new_significance)
@@ -208,6 +212,10 @@ class MotionModel:
             place = found_place(keyframe, motion, *parts, assumed)
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
+        found = motion if place is None else place.motion
+        by_planes_alone = keyframe.surfaces is None and keyframe.returns is None
+        if by_planes_alone and not motion.is_measured and is_poorly_known(found):
+            self.left_open[index] = sigmas_of(found)[0]
         if assumed is not None:
             motion = assumed.learnt() if place is None else place.expected
         self._expected = None if prior is None else (prior, None if assumed is None else motion)

@@ -77,14 +77,23 @@ def _certain(count: int, keyframes: range | list[int], sentence: str) -> Evidenc
 def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Directions that the map leaves open where no motion was measured, known by all means to no better than 0.1 m.
 
-    Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot that stops
-    for a while stands where the map does not know. What matched the scans of a laser without wheels knows there no more
-    than that. Odometry that was found wrong, and left aside for an assumption, is none. No statistic is needed.
+    After wheels stood, and where planes are all that was seen, what these leave open is told by nothing later: planes
+    look alike. Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot
+    that stops for a while stands where the map does not know. What matched the scans of a laser without wheels knows
+    there no more than that. Odometry that was found wrong, and left aside for an assumption, is none. No statistic is
+    needed.
     """
     motions = [frame.motion for frame in run.keyframes]
     measured = {index for index, motion in enumerate(motions) if motion is not None and motion.is_measured}
     assumed = set(range(1, len(run.keyframes))) - measured
     assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
+    if run.left_open:
+        frames, sigma = tuple(run.left_open), max(run.left_open.values())
+        sentence = (
+            f"nobody measured the motion to {named(frames)}, and the planes seen there left it open (sigma up to "
+            f"{sigma:.2g} m): any plane alike would have been taken for one of the map"
+        )
+        yield Evidence("assumption", "doubtful", 0.0, sigma, "m", frames, sentence)
     if not assumed:
         return
     for one in run.open_in_map:

@@ -62,9 +62,7 @@ def _without_border(outline: _Area | None) -> _Area | None:
     return inner if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty else None
 
 
-def stopped_rays(
-    keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Surfaces, sensor: Sensor
-) -> Counter[int]:
+def stopped_rays(keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Surfaces, sensor: Sensor) -> Counter[int]:
     """Rays of a sensor to the planes that keyframes at poses (N, 4, 4) saw: how many each landmark would stop.
 
     A 3D sensor sees all from one place; the plane that a slice turns in passes what it sees as the body goes ahead.
