@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from factors.line import line_factor
 from factors.plane import plane_factor
 from spplanes import Plane, ScanLine
-from spplanes._check import FloatArray, as_number, as_transform, check_instance, read_only
+from spplanes._check import FloatArray, as_number, as_positive, as_transform, check_instance, read_only
 from spplanes.outlines.extents import flatten, lift
 from spplanes.spmodel import skew
 
@@ -232,9 +232,18 @@ class LineObservation:
         Of the L / correlation patches of a line each is off by `sigma_m`: its middle by sigma^2 / patches, its
         direction by 12 / L^2 times that. What the line's covariance already holds of it, as if every beam were off by
         itself, is less.
+
+        Args:
+            sigma_m: standard deviation of the wall about a straight one, m; 0: it is straight.
+            correlation_m: length of a patch, m.
+
+        Raises:
+            ValueError: a sigma that is none, a length that is not positive.
         """
-        line = self.line
-        patches = max(line.length / correlation_m, 1.0)
+        line, sigma_m = self.line, as_number("sigma_m", sigma_m)
+        if sigma_m < 0.0:
+            raise ValueError(f"sigma_m: expected no less than 0, got {sigma_m}")
+        patches = max(line.length / as_positive("correlation_m", correlation_m), 1.0)
         shift = sigma_m**2 * max(1.0 / patches - 1.0 / self.n_points, 0.0)
         if shift == 0.0 or line.length == 0.0:
             return self

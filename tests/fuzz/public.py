@@ -205,6 +205,7 @@ CALLS: dict[str, Call] = {
     "factors.LineObservation": Numbers.line_observation,
     "factors.LineObservation.factor": lambda n: n.line_observation().factor(0, 2, 1),
     "factors.LineObservation.full_plane": lambda n: n.line_observation().full_plane(n.number()),
+    "factors.LineObservation.on_uneven_wall": lambda n: n.line_observation().on_uneven_wall(n.number(), n.number()),
     "factors.LineObservation.patch_in": lambda n: n.line_observation().patch_in(n.array(4, 4)),
     "factors.PlaneObservation": Numbers.plane_observation,
     "factors.PlaneObservation.factor": lambda n: n.plane_observation().factor(0, 2, 1),
