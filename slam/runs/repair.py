@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import gtsam
 import numpy as np
 from scipy.special import chdtri
 
@@ -151,10 +152,11 @@ def _other_start(
     found = compare_missions(known, alone, slam.config, significance=SIGNIFICANCE)
     if found.verdict != "joined" or found.alignment is None:
         return None
-    laid = found.alignment
-    spread = prior.start_covariance + laid.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-    # the tangent of a_T_b on the right is that of the first pose, which is where the drive alone begins
-    off = rpy_from_transform(inverse(prior.world_T_start) @ laid.a_T_b @ alone.trajectory.poses[0])
+    laid, first = found.alignment, alone.trajectory.poses[0]
+    at_start = gtsam.Pose3(inverse(first)).AdjointMap()
+    covariance = at_start @ laid.covariance @ at_start.T
+    spread = prior.start_covariance + covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    off = rpy_from_transform(inverse(prior.world_T_start) @ laid.a_T_b @ first)
     if _is_likely(off, spread):
         return None
     if _is_likely(off[list(PLANE)], spread[np.ix_(PLANE, PLANE)]):
