@@ -561,8 +561,8 @@ MUTATIONS = (
     Mutation(
         "verdict: all rays of a push-broom laser begin at its keyframe",
         "slam/diagnostics/evidence/surfaces.py",
-        '        if sensor.kind == "slice":\n',
-        '        if sensor.kind == "":\n',
+        "sight.ends[:, 2:] / ahead[2] * ahead if moves_on else sight.starts",
+        "sight.starts",
         "tests/slam/diagnostics/evidence/test_coverage.py",
     ),
     Mutation(

@@ -22,7 +22,7 @@ from slam.sensors.rig import Rig
 from slam.session._codec import CodecError, decode, encode
 from slam.session._file import digest
 from slam.session.opening import session_path
-from slam.session.prior_map import map_covariance
+from slam.session.prior_map import PriorMap, map_covariance
 from slam.session.store import Session, SessionError
 from spplanes import Plane, __version__
 from spplanes._check import FloatArray
@@ -65,6 +65,11 @@ class Mission:
     """mission_T_body of every keyframe."""
     looks: tuple[Look, ...]
     """What some keyframes saw."""
+
+    @classmethod
+    def of_prior(cls, prior: PriorMap) -> Mission:
+        """A prior map as a mission that nobody drove."""
+        return cls("prior map", tuple(prior.planes), prior.covariance, Trajectory.empty(), ())
 
     def covariance_of(self, rows: np.ndarray) -> FloatArray:
         """Joint covariance (3 K, 3 K) of the planes at some places of `planes`, in that order."""

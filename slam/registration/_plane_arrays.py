@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
-from slam.geometry.polygons import Rings, polygonal, valid
+from slam.geometry.polygons import polygonal, valid
 from spplanes import Plane
 from spplanes._check import FloatArray
 
@@ -16,6 +18,27 @@ from spplanes._check import FloatArray
 _MOST = 28
 #: Outlines are simplified to this, m.
 _ROUGH = 0.05
+
+
+class Rings(NamedTuple):
+    """Rings of several polygons, outer ones and holes alike, as arrays."""
+
+    corners: FloatArray
+    """Of all rings, the last of each the first again, shape (C, 2), m."""
+    ends: np.ndarray
+    """First corner of each ring, and the number of corners, shape (R + 1,)."""
+    of: np.ndarray
+    """First ring of each polygon, and the number of rings, shape (N + 1,)."""
+
+    @classmethod
+    def of_all(cls, outlines: Sequence[BaseGeometry | None]) -> Rings:
+        """Of polygons, multipolygons, or nothing."""
+        geometries = np.array([shapely.Polygon() if outline is None else outline for outline in outlines], dtype=object)
+        parts, owner = shapely.get_parts(geometries, return_index=True)
+        rings, part = shapely.get_rings(parts, return_index=True)
+        corners, ring = shapely.get_coordinates(rings, return_index=True)
+        ends = np.searchsorted(ring, np.arange(len(rings) + 1))
+        return cls(corners, ends, np.searchsorted(owner[part], np.arange(len(geometries) + 1)))
 
 
 @dataclass(frozen=True, eq=False)

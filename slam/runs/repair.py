@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,24 +17,21 @@ from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.pose_measurements import PlaceMatch
 from slam.geometry.frames import inverse
-from slam.io.trajectories import Trajectory
-from slam.joining.join import SIGNIFICANCE
+from slam.joining.join import SIGNIFICANCE, Progress
 from slam.joining.mission import FinishedMission, Mission
 from slam.joining.overlap import compare_missions
 from slam.loop_closure.whole_drive import Agreement, agreement
 from slam.planeslam import PlaneSlam
+from slam.registration.relocalization import are_one
 from slam.sensors.rig import Rig
 from slam.session.prior_map import PriorMap
 from slam.session.replay import ForgottenKeyframes, Places
-from spplanes._check import FloatArray
 from spplanes.spmodel import PLANE, rpy_from_transform, transform_from_rpy
 
 #: A map is mended again while that makes it better, at most so often.
 _ROUNDS = 3
 #: Verdicts, the better first.
 _GRADES = ("sound", "doubtful", "broken")
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -147,28 +144,22 @@ def _other_start(
         alone = FinishedMission.of("drive", slam.remap({}, None, progress), rig).mission
     except ValueError:
         return None  # it leaves planes open
-    nobody = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
-    known = Mission("prior map", tuple(prior.planes), prior.covariance, nobody, ())
-    found = compare_missions(known, alone, slam.config, significance=SIGNIFICANCE)
+    found = compare_missions(Mission.of_prior(prior), alone, slam.config, significance=SIGNIFICANCE)
     if found.verdict != "joined" or found.alignment is None:
         return None
     laid, first = found.alignment, alone.trajectory.poses[0]
     at_start = gtsam.Pose3(inverse(first)).AdjointMap()
     covariance = at_start @ laid.covariance @ at_start.T
     spread = prior.start_covariance + covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-    off = rpy_from_transform(inverse(prior.world_T_start) @ laid.a_T_b @ first)
-    if _is_likely(off, spread):
+    start = laid.a_T_b @ first
+    if are_one(prior.world_T_start, start, spread, SIGNIFICANCE):
         return None
-    if _is_likely(off[list(PLANE)], spread[np.ix_(PLANE, PLANE)]):
+    off = rpy_from_transform(inverse(prior.world_T_start) @ start)
+    lift = off[list(PLANE)]
+    if lift @ np.linalg.solve(spread[np.ix_(PLANE, PLANE)], lift) <= chdtri(3, SIGNIFICANCE):
         off[list(PLANE)] = 0.0  # height and tilt were right: what stands on a floor stands there elsewhere too
-    start = prior.world_T_start @ transform_from_rpy(off)
-    offset_m = float(np.linalg.norm(off[:3]))
-    repair = Repair(0, 0, offset_m, verdict.line, planes=len(laid.pairs))
-    return _Alternative({}, replace(prior, world_T_start=start), repair)
-
-
-def _is_likely(off: FloatArray, covariance: FloatArray) -> bool:
-    return bool(off @ np.linalg.solve(covariance, off) <= chdtri(len(off), SIGNIFICANCE))
+    repair = Repair(0, 0, float(np.linalg.norm(off[:3])), verdict.line, planes=len(laid.pairs))
+    return _Alternative({}, replace(prior, world_T_start=prior.world_T_start @ transform_from_rpy(off)), repair)
 
 
 def _places_of(found: Agreement, keyframes: Sequence[Keyframe]) -> dict[int, tuple[PlaceMatch, ...]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +17,7 @@ from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.range_noise import with_shown_errors
 from slam.io.plausibility import check_events
 from slam.io.trajectories import Trajectory
+from slam.joining.join import Progress
 from slam.planeslam import MapPlane, PlaneSlam
 from slam.runs.repair import Repair, repaired
 from slam.runs.scan_trajectory import odometry_of, scan_stamps, scan_trajectory
@@ -27,8 +27,6 @@ from slam.timing import StageClock
 from spplanes._check import as_count
 
 __all__ = ["Progress", "Run", "StageClock", "odometry_of", "path_length_m", "run_slam"]
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,7 +146,7 @@ class Session(SessionRecords):
             for index, decision in enumerate(decisions):
                 self._put_decisions(index, decision)
             self._seal("running")
-        self.places, self.start = known, start
+        self.places, self.start = known, self.start if start is None else start
 
     def _put_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         data = encode(list(decisions))

@@ -83,10 +83,6 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     there no more than that. Odometry that was found wrong, and left aside for an assumption, is none. No statistic is
     needed.
     """
-    motions = [frame.motion for frame in run.keyframes]
-    measured = {index for index, motion in enumerate(motions) if motion is not None and motion.is_measured}
-    assumed = set(range(1, len(run.keyframes))) - measured
-    assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if run.left_open:
         frames, sigma = tuple(run.left_open), max(run.left_open.values())
         sentence = (
@@ -94,6 +90,10 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
             f"{sigma:.2g} m): any plane alike would have been taken for one of the map"
         )
         yield Evidence("assumption", "doubtful", 0.0, sigma, "m", frames, sentence)
+    motions = [frame.motion for frame in run.keyframes]
+    measured = {index for index, motion in enumerate(motions) if motion is not None and motion.is_measured}
+    assumed = set(range(1, len(run.keyframes))) - measured
+    assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if not assumed:
         return
     for one in run.open_in_map:

@@ -68,16 +68,15 @@ def stopped_rays(keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Sur
     A 3D sensor sees all from one place; the plane that a slice turns in passes what it sees as the body goes ahead.
     """
     found: Counter[int] = Counter()
-    body_T_sensor = sensor.body_T_sensor
+    body_T_sensor, moves_on = sensor.body_T_sensor, sensor.kind == "slice"
     ahead = body_T_sensor[0, :3]  # the body's x axis in the frame of the sensor
-    if sensor.kind == "slice" and abs(ahead[2]) < _ACROSS:
+    if moves_on and abs(ahead[2]) < _ACROSS:
         return found  # it turns in the way it goes: who knows from where it saw what
     for index in evenly(len(keyframes), _MOST_KEYFRAMES):
         seen = [plane.transform(inverse(body_T_sensor)) for plane in planes_of(keyframes[index].observations)]
-        sight = replace(LinesOfSight.between(seen, np.ones(len(seen)), ()), walls=surfaces.walls)
-        if sensor.kind == "slice":
-            sight = replace(sight, starts=sight.ends[:, 2:] / ahead[2] * ahead)
-        stopped_by = sight.stopped_by(poses[index] @ body_T_sensor)
+        sight = LinesOfSight.between(seen, np.ones(len(seen)), ())
+        starts = sight.ends[:, 2:] / ahead[2] * ahead if moves_on else sight.starts
+        stopped_by = replace(sight, walls=surfaces.walls, starts=starts).stopped_by(poses[index] @ body_T_sensor)
         found.update(surfaces.ids[number] for number in stopped_by[stopped_by >= 0].tolist())
     return found
 

@@ -13,9 +13,9 @@ from slam.frontend.keyframes import keyframes_of
 from slam.frontend.laser_odometry.stalled_wheels import stalls_of
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
-from slam.runs.slam_run import run_slam
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
+from tests.slam.short_drives import mapped_beginning
 
 DRIVE = "office/pushbroom/stops/half"
 
@@ -62,8 +62,7 @@ def test_stretches_are_found_in_other_buildings(name: str) -> None:
 @pytest.mark.parametrize("name, seed", [(DRIVE, 771021), ("glass/pushbroom/stops", 133002)])
 def test_its_map_is_doubtful(name: str, seed: int) -> None:
     """Walls alike on both sides of the gap were taken for one: the second drive was 13 m off, and sound."""
-    drive = make_drive(Recipe.parse(name), seed)
-    run = run_slam(drive.log, drive.rig, SlamConfig())
+    run, _ = mapped_beginning(name, seed)
     [across] = run.slam.left_open
     assert run.slam.left_open[across] > 5.0 and not run.slam.keyframes[across].motion.is_measured
     assert run.verdict.verdict == "doubtful"

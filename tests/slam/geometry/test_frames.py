@@ -9,7 +9,8 @@ from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from slam.geometry.frames import norms_of, poses_of
-from slam.geometry.polygons import Rings, come_near
+from slam.registration._plane_arrays import Rings
+from slam.registration._plane_kernels import come_near
 
 QUARTER = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
 

@@ -27,7 +27,7 @@ from slam.registration.relocalization import Rivals
 from slam.registration.submaps import PlanarPose
 from slam.sensors.rig import Mount, Sensor
 from spplanes import Plane
-from tests.slam.registration.test_plane_registration import body, hall, measured
+from tests.slam.registration.test_plane_registration import body, hall, measured, wall
 from tests.slam.scenes import room_planes
 
 CORRIDOR = [*hall()[:2], *hall()[4:]]  # nothing stands across y
@@ -128,24 +128,13 @@ def test_from_its_true_pose_nothing_stops_a_ray_and_from_another_a_wall_does():
     assert room_planes()[behind].normal[1] < -0.9
 
 
-def upright(ends: tuple[tuple[float, float], tuple[float, float]]) -> Plane:
-    """A wall 2 m high between two places on the floor, which looks to the right of the way between them."""
-    start, end = (np.array([*place, 0.0]) for place in ends)
-    along = (end - start) / np.linalg.norm(end - start)
-    frame = np.eye(4)
-    frame[:3, :3] = np.column_stack((along, (0.0, 0.0, 1.0), np.cross(along, (0.0, 0.0, 1.0))))
-    frame[:3, 3] = 0.5 * (start + end) + (0.0, 0.0, 1.0)
-    half = 0.5 * float(np.linalg.norm(end - start))
-    return Plane(frame, 1e-6 * np.eye(3), 100, box(-half, -1.0, half, 1.0))
-
-
 @pytest.mark.parametrize("turn_rad, stopped_by", [(np.pi / 2.0, {1}), (0.2, set())])
 def test_rays_of_a_slice_begin_where_the_body_was_when_it_passed(turn_rad: float, stopped_by: set[int]):
     """Of a wall beside the way a pillar hides what lies behind it from one place, not from beside it."""
-    seen, pillar, before = (
-        upright(((0.0, 3.0), (6.0, 3.0))),
-        upright(((2.0, 2.5), (2.0, 0.5))),
-        upright(((0, 2), (6, 2))),
+    seen = wall((3.0, 3.0, 1.0), (0.0, -1.0, 0.0), 6.0, 2.0)
+    pillar, before = (
+        wall((2.0, 1.5, 1.0), (-1.0, 0.0, 0.0), 2.0, 2.0),
+        wall((3.0, 2.0, 1.0), (0.0, -1.0, 0.0), 6.0, 2.0),
     )
     walls, frames = surfaces_of([pillar, before]), [Keyframe(0, [PlaneObservation(seen)])]
     mount = Mount(xyz_m=(0.0, 0.0, 1.0), rpy_deg=(0.0, float(np.rad2deg(turn_rad)), 0.0))
