@@ -63,6 +63,7 @@ def _begin(options: SlamOptions) -> None:
             clock=clock,
             progress=progress,
         )
+        del slam  # as large as the run's own, which another is where it was repaired
         _conclude(run, out, options)
     say_verdict(run.verdict, strict=options.strict_verdict)
 
@@ -97,6 +98,7 @@ def _resume(options: SlamOptions) -> None:
                 run = run_slam(
                     read, rig, slam.config, slam=slam, jobs=options.jobs or cores(), clock=clock, progress=progress
                 )
+            del slam
             _conclude(run, folder, options)
     except FinishedAlready as sentence:
         say(sentence)

@@ -24,7 +24,7 @@ from slam.registration.submaps import PlanarPose, view_of
 from spplanes._check import FloatArray
 
 #: Submaps that are kept to be searched in again.
-_VIEWS = 64
+_VIEWS = 16
 #: Most pairs of stretches of a drive that are compared: of more, every second or third.
 _MOST_PAIRS = 600
 #: A robust solution is looked for in so many steps.

@@ -95,7 +95,10 @@ class _Information:
     def covariances(self, rows: Sequence[int]) -> list[FloatArray]:
         """Covariances (6, 6) of the variables that begin at these rows."""
         i, j, values = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
-        solver = splu(coo_matrix((values, (i, j)), shape=(self._size, self._size)).tocsc())
+        matrix = coo_matrix((values, (i, j)), shape=(self._size, self._size)).tocsc()
+        # symmetric and positive: ordered by itself and not by its square, the factors of 1495 poses and 209 planes have
+        # 0.1 million entries instead of 3.7
+        solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         found = []
         for row in rows:
             columns = np.zeros((self._size, 6))
