@@ -435,7 +435,8 @@ def _inverse_of_information(linear: gtsam.GaussianFactorGraph, keys: Sequence[in
         factor, _ = cho_factor(information, lower=True, overwrite_a=True)
     except (RuntimeError, ValueError):  # a LinAlgError is a ValueError
         return None
-    covariance, _ = _invert_factored(factor, lower=True, overwrite_c=True)  # in place: of 200 planes and their anchors 26 MB
+    # in place: of 200 planes and their anchors it is 26 MB
+    covariance, _ = _invert_factored(factor, lower=True, overwrite_c=True)
     for row in range(1, len(covariance)):
         covariance[:row, row] = covariance[row, :row]
     covariance *= scale
