@@ -518,10 +518,10 @@ MUTATIONS = (
     ),
     Mutation(
         "points weigh by their own range",
-        "spplanes/clouds/octree.py",
-        "np.interp(self._smoothed(ranges), middles, rising)",
-        "np.interp(ranges, middles, rising)",
-        "tests/spplanes/fitting/test_seams.py",
+        "spplanes/segmentation/cloud.py",
+        "            ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)\n",
+        "",
+        "tests/spplanes/segmentation/test_cloud.py -k as_sure_as_they_say",
     ),
     Mutation(
         "a laser that nobody describes has the noise of a data sheet",

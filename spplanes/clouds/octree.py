@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import isotonic_regression
@@ -31,6 +32,8 @@ _FLAT = 0.1
 _ENOUGH = 0.3
 #: One in so many cells, of any size, lies in no corner.
 _FEW_CORNERS = 10
+#: Variance of half a normal distribution, cut in the middle, as a share of the whole one's.
+_CUT = 1.0 - 2.0 / np.pi
 #: Fewest larger cells that look flat by more than chance, in a shell of ranges.
 _LEAST_CELLS = 2
 #: Noise is found in so many bins of range at most, each of so many cells at least.
@@ -44,6 +47,19 @@ _SPREAD = np.bitwise_or.reduce([(np.arange(1 << 10) >> bit & 1) << 3 * bit for b
 _GATHERED = np.bitwise_or.reduce([(np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5)])
 #: Offsets of a cell's 26 neighbours.
 _AROUND = np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
+
+
+class NoiseLaw(NamedTuple):
+    """How the noise of points goes with their range."""
+
+    ranges: FloatArray
+    """Ascending, shape (K,), m."""
+    variances: FloatArray
+    """At these, shape (K,), m^2."""
+
+    def at(self, ranges: FloatArray) -> FloatArray:
+        """Variances at other ranges, of their shape, m^2."""
+        return np.interp(ranges, self.ranges, self.variances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +89,8 @@ class Curve:
         number[order] = np.cumsum(first) - 1
         return cls(sorted_points[first], sorted_keys[first], number)
 
-    def noise_variances(self, ranges: FloatArray) -> FloatArray | None:
-        """Variance of every point about planes through its neighbours, shape (N,), m^2; None where too few look flat.
+    def noise_law(self, ranges: FloatArray) -> NoiseLaw | None:
+        """Variance of points about planes through their neighbours, by range; None where too few look flat.
 
         It is the median over flat cells at about the same range, and never falls with it: noise of range sensors grows.
         Cells are taken larger, four times as many points, until enough at that range look flat: where points lie closer
@@ -91,37 +107,44 @@ class Curve:
         medians = np.array([_median_variance(one) for one in bins])
         middles = np.array([np.median(ranges[one[:, 3].astype(np.int64)]) for one in bins])
         rising = isotonic_regression(medians, weights=[one[:, 0].sum() for one in bins]).x
-        return np.interp(self._smoothed(ranges), middles, rising)
+        return NoiseLaw(middles, rising)
 
     def _flat_cells(self, ranges: FloatArray) -> FloatArray:
         """Cells that look flat (see `local_scatter`), in every shell of ranges the smallest of which there are enough.
 
-        Noise grows with the range: cells that show that of near points are balls of far ones. In a ball of half the
-        size it has at least a quarter of its variance, or it was no ball but a corner.
+        Noise grows with the range: cells that show that of near points are balls of far ones. Shells that have too few
+        are put together until they may have enough of the next size. In a ball of half the size it has at least a
+        quarter of its variance, and a share of that where a side of the cell cuts it, or it was no ball but a corner.
         """
         n_shells = max(min(len(ranges) // (_CELLS_OF_BIN * LOCAL), _BINS), 1)
         shell = np.searchsorted(np.quantile(ranges, np.arange(1, n_shells) / n_shells), ranges)
-        enough = _ENOUGH * np.bincount(shell, minlength=n_shells)
-        held, found, most = np.zeros(n_shells), [np.empty((0, 4))] * n_shells, np.full(n_shells, np.inf)
+        sizes = np.bincount(shell, minlength=n_shells)
+        found = [np.empty((0, 4))] * n_shells  # of shells that were put together with the first
+        held, most, missing = np.zeros(n_shells), np.full(n_shells, np.inf), np.ones(n_shells, dtype=bool)
         fewest = LOCAL
-        while fewest <= max(len(self.points), LOCAL) and (held <= enough).any():
+        while fewest <= max(len(self.points), LOCAL) and missing.any():
             cells = largest_cells(self.keys, 4 * fewest - 1)
             judged = local_scatter(self.points, cells[np.diff(cells)[:, 0] >= fewest])
             place = shell[judged[:, 3].astype(np.int64)]
-            for s in np.flatnonzero(held <= enough):
-                mine = judged[place == s]
+            for group in _together(missing, sizes, _CELLS_OF_BIN * fewest):
+                mine, size = judged[np.isin(place, group)], sizes[group]
                 flat = mine[mine[:, 1] < _FLAT * mine[:, 2]]
                 if len(flat) < _LEAST_CELLS and fewest > LOCAL:
                     continue
-                if flat[:, 0].sum() > held[s] and _median_variance(flat) <= most[s]:
-                    held[s], found[s] = flat[:, 0].sum(), flat
+                points = flat[:, 0].sum()
+                if points > held[group].sum() and _median_variance(flat) <= most[group].max():
+                    held[group] = points * size / size.sum()
+                    missing[group] = points <= _ENOUGH * size.sum()
+                    for s in group:
+                        found[s] = flat[:0]
+                    found[group[0]] = flat
                 flattest = mine[np.argsort(mine[:, 1], kind="stable")][: len(mine) // _FEW_CORNERS + 1]
-                most[s] = 4.0 * _median_variance(flattest) if len(mine) else most[s]
+                most[group] = 4.0 / _CUT * _median_variance(flattest) if len(mine) else most[group]
             fewest *= 4
         return np.concatenate(found)
 
-    def _smoothed(self, values: FloatArray) -> FloatArray:
-        """Means over neighbourhoods: by its own range a point would weigh more the more it is measured too short."""
+    def smoothed(self, values: FloatArray) -> FloatArray:
+        """Means over neighbourhoods, shape (N,): by its own range a point that is measured too short has less noise."""
         near = self.neighbourhoods()
         return (np.bincount(near, values) / np.maximum(np.bincount(near), 1))[near]
 
@@ -187,6 +210,17 @@ class Cells:
         holds = (other >= 0) & (keys >> larger == self.place[other] >> larger) & (self.level[other] <= self.level[cell])
         pairs = np.sort(np.stack((cell[holds], other[holds]), axis=1), axis=1)
         return distinct_pairs(pairs, len(self.level))
+
+
+def _together(missing: np.ndarray, sizes: np.ndarray, enough: int) -> list[np.ndarray]:
+    """Numbers of the shells (S,) that are missing, neighbours together until they have enough points."""
+    groups: list[list[int]] = []
+    for s in np.flatnonzero(missing).tolist():
+        if groups and groups[-1][-1] == s - 1 and sizes[groups[-1]].sum() < enough:
+            groups[-1].append(s)
+        else:
+            groups.append([s])
+    return [np.array(one) for one in groups]
 
 
 def _median_variance(cells: FloatArray) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape, check_instance
 from spplanes.clouds.arrange import arrange
-from spplanes.clouds.octree import Curve
+from spplanes.clouds.octree import Curve, NoiseLaw
 from spplanes.fitting.rounding import coordinate_steps
 from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
@@ -37,9 +37,11 @@ _TOO_NEAR = 0.1
 _MUCH_MORE = 3.0
 #: Normals of the points of a plane whose mean is shorter than this point both ways: they tell no side.
 _AGREED = 0.5
-#: Grids are searched along rows and columns where this share of the returns has one beside it, along both, and errs by
-#: less than the distance there, which is taken over so many of them.
-_LEAST_LINKED, _STEPS = 0.75, 8
+#: Beams meet their planes at most so many times farther, or nearer, than their points are.
+_FARTHER = 2.0
+#: Grids are searched along rows and columns where this share of the returns has one beside it, along both, and no more
+#: than that share errs so much that so many sigmas are farther than the distance there, taken over so many of them.
+_LEAST_LINKED, _MOST_BLURRED, _BLURRED, _STEPS = 0.75, 0.05, 2.0, 8
 
 
 @dataclass(frozen=True)
@@ -190,12 +192,12 @@ class _Job:
         return cls(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
 
     @cached_property
-    def _grid(self) -> tuple[FloatArray, Curve, FloatArray]:
-        """A grid from its eye, as it is searched, NaN = no return; the curve through its returns, and the variances of
-        the points of that, m^2."""
+    def _grid(self) -> tuple[FloatArray, Curve, NoiseLaw, FloatArray]:
+        """A grid from its eye, as it is searched, NaN = no return; the curve through its returns, the noise of the
+        points of that, and their variances, m^2."""
         grid = arrange(np.where(self.seen[..., None], self.points - self.eyes, np.nan))
         curve = Curve.through(grid[np.isfinite(grid[..., 0])])
-        return grid, curve, self._variances(curve, np.linalg.norm(curve.points, axis=1))
+        return grid, curve, *self._noise_of(curve, np.zeros(3))
 
     @property
     def is_linked(self) -> bool:
@@ -207,7 +209,7 @@ class _Job:
         linked = self.seen[:, :-1] & self.seen[:, 1:], self.seen[:-1] & self.seen[1:]
         if any(both.sum() < _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True)):
             return False
-        grid, curve, variances = self._grid
+        grid, curve, _, variances = self._grid
         here = np.isfinite(grid[..., 0])
         sigmas = np.zeros(here.shape)
         sigmas[here] = np.sqrt(variances)[curve.number]
@@ -226,14 +228,17 @@ class _Job:
         curve = Curve.through(used)
         first = curve.number_of_first()
         eyes = eyes[first]
-        variances = self._variances(curve, np.linalg.norm(curve.points - eyes, axis=1))
+        law, variances = self._noise_of(curve, eyes)
         first_octave_m = _FIRST_OCTAVE * float(np.sqrt(np.median(variances)))
         labels = label_curve(curve, variances, first_octave_m, self.config)
-        cloud = curve.points[None], self._fitting_variances(variances)[None, :, None]
+        found = curve.points[None], variances[None, :, None]
         if (labels >= 0).any() and (eyes != eyes[0]).any():
-            planes = hesse(moments_of(*cloud, labels[None], self.config))
+            planes = hesse(moments_of(*found, labels[None], self.config))
             labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
+        planes = hesse(moments_of(*found, labels[None], self.config))
+        variances = self._fitting_variances(law, curve.points, eyes, labels, planes)
+        cloud = curve.points[None], variances[None, :, None]
         n_planes = int(labels.max(initial=-1)) + 1
         sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
@@ -244,16 +249,16 @@ class _Job:
         outlines = outlines_of_groups(
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
-        planes = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
-        return self._result(labels[curve.number], planes, origin, fitted, variances, by_eye)
+        drawn = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
+        return self._result(labels[curve.number], drawn, origin, fitted, variances, by_eye)
 
     def of_grid(self) -> CloudPlanes:
         """Planes of a grid."""
         eye = self.eyes.reshape(-1, 3)[0]
-        grid, curve, variances = self._grid
+        grid, curve, law, variances = self._grid
         here = np.isfinite(grid[..., 0])
         spread = np.ones(here.shape)
-        spread[here] = self._fitting_variances(variances)[curve.number]
+        spread[here] = self._stated(variances)[curve.number]
         found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
         labels = once = _largest_first(found.labels)
         if len(curve.points) < len(curve.number):  # copies take part in the search, and tell the fit nothing
@@ -261,26 +266,48 @@ class _Job:
             counted[here] = curve.number_of_first()[curve.number] == np.arange(len(curve.number))
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
+        planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
+        spread[here] = self._fitting_variances(law, grid[here], np.zeros(3), labels[here], planes)
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
-        fitted = fit_labelled(grid, found.covariance, once, eyes, self.config, views=views, stated=stated)
-        planes = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
+        fitted = fit_labelled(grid, spread[..., None], once, eyes, self.config, views=views, stated=stated)
+        drawn = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
         own = _labels_of(self.points - eye, grid, once)[self.seen]
-        return self._result(own, planes, eye, fitted, variances, np.ones(len(planes), dtype=bool))
+        distinct = spread[here][curve.number_of_first()]
+        return self._result(own, drawn, eye, fitted, distinct, np.ones(len(drawn), dtype=bool))
 
-    def _variances(self, curve: Curve, ranges: FloatArray) -> FloatArray:
-        """Of the distinct points, for tests: what is stated, and no less than they show, shape (N,), m^2."""
-        shown = curve.noise_variances(ranges)
+    def _noise_of(self, curve: Curve, eyes: FloatArray) -> tuple[NoiseLaw, FloatArray]:
+        """For tests: what is stated, and no less than points show; and the variances of the distinct points, m^2."""
+        ranges = np.linalg.norm(curve.points - eyes, axis=1)
+        shown = curve.noise_law(ranges)
         if shown is None and self.sigma is None:
             raise ValueError(
                 "sigma: expected a standard deviation, for the cloud shows no flat places to measure it at"
             )
         least = _LEAST_SIGMA_M if self.sigma is None else as_positive("sigma", self.sigma)
-        return np.full(len(ranges), least**2) if shown is None else np.maximum(shown, least**2)
+        law = NoiseLaw(*(np.zeros(1), np.zeros(1)) if shown is None else shown)
+        law = law._replace(variances=np.maximum(law.variances, least**2))
+        return law, law.at(curve.smoothed(ranges))
 
-    def _fitting_variances(self, variances: FloatArray) -> FloatArray:
-        """Of the distinct points, for covariances, which find by themselves where a stated one is too small."""
+    def _stated(self, variances: FloatArray) -> FloatArray:
+        """Variances (N,) of points for what finds by itself where a stated one is too small."""
         return variances if self.sigma is None else np.full(len(variances), self.sigma**2)
+
+    def _fitting_variances(
+        self, law: NoiseLaw, points: FloatArray, eyes: FloatArray, labels: np.ndarray, planes: FloatArray
+    ) -> FloatArray:
+        """Of points (N, 3) for covariances, shape (N,), m^2, by how far their planes (R, 4) are along their beams.
+
+        By where a point was measured, alone or with its neighbours, those measured too short would weigh more.
+        """
+        away = points - eyes
+        ranges = np.linalg.norm(away, axis=1)
+        if len(planes):
+            normals, offsets = planes[labels, :3], planes[labels, 3]
+            along, to_plane = (normals * away).sum(axis=1), offsets - (normals * eyes).sum(axis=1)
+            share = np.divide(to_plane, along, out=np.ones(len(points)), where=(labels >= 0) & (along != 0.0))
+            ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)
+        return self._stated(law.at(ranges))
 
     def _result(
         self,
@@ -297,7 +324,8 @@ class _Job:
             labels: of the returns.
             planes: about the origin.
             origin: where that is, shape (3,), m.
-            fitted, variances: counts, and noise of the distinct points.
+            fitted: counts.
+            variances: that the distinct points were fitted with.
             by_eye: whose side the eyes tell, shape (R,), bool.
         """
         back = np.eye(4)
@@ -310,7 +338,7 @@ class _Job:
         coverage = Coverage(
             self.seen.size, self.seen.size - n_used, n_used - n_distinct, on_planes, n_distinct - on_planes
         )
-        sigma = float(np.sqrt(np.median(self._fitting_variances(variances)) * fitted.noise_factor))
+        sigma = float(np.sqrt(np.median(variances) * fitted.noise_factor))
         source = "as given, and no less than" if self.sigma is not None else "measured:"
         noise = CloudNoise(
             sigma,
@@ -359,10 +387,10 @@ class _Job:
 
 
 def _errs_by_less(grid: FloatArray, sigmas: FloatArray) -> bool:
-    """Whether most returns of a grid (S, B, 3) err, by sigmas (S, B), by less than the distance to those rows away."""
+    """Whether nearly all returns of a grid (S, B, 3) err, by sigmas (S, B), by much less than to those rows away."""
     both = np.isfinite(grid[_STEPS:, :, 0]) & np.isfinite(grid[:-_STEPS, :, 0])
     apart = np.linalg.norm(grid[_STEPS:][both] - grid[:-_STEPS][both], axis=1) / _STEPS
-    return bool(np.count_nonzero(apart < sigmas[_STEPS:][both]) <= (1.0 - _LEAST_LINKED) * len(apart))
+    return bool(np.count_nonzero(apart < _BLURRED * sigmas[_STEPS:][both]) <= _MOST_BLURRED * len(apart))
 
 
 def points_of(cloud: Any) -> FloatArray:

@@ -263,3 +263,31 @@ def test_walls_whose_noise_is_wider_than_their_points_are_apart_are_one_plane_ea
         axis = int(np.abs(normal).argmax())
         place = abs((turned @ plane.centre + eye)[axis])
         assert abs(normal[axis]) > np.cos(2e-3) and place == pytest.approx(half[axis], abs=2e-3)
+
+
+@pytest.mark.parametrize("as_grid", [True, False])
+def test_planes_of_cameras_with_growing_noise_are_as_sure_as_they_say(as_grid: bool):
+    """30 rooms, turned any way, by a depth camera whose noise grows with the square of the range, 20 mm at 3 m.
+
+    Errors of their 85 planes over their covariances: half of chi2 of 3 dof lies below 2.37, and measured is 3.6, for
+    seams of 20 mm are soft; where points weigh by the range at which they or their neighbours were measured, 6.6.
+    """
+    rng, squares = np.random.default_rng(5), []
+    rays = spun(np.deg2rad(np.linspace(-22.0, 22.0, 240)), np.deg2rad(np.linspace(-29.0, 29.0, 320)))
+    for _ in range(30):
+        turned = Rotation.from_euler(
+            "zyx", rng.uniform((-60.0, -20.0, -5.0), (60.0, 20.0, 5.0)), degrees=True
+        ).as_matrix()
+        low, high = (side * rng.uniform((1.2, 1.2, 1.0), (3.5, 3.5, 1.5)) for side in (-1.0, 1.0))
+        ranges = to_walls(rays @ turned.T, low, high)
+        ranges += 0.02 * (ranges / 3.0) ** 2 * rng.normal(size=ranges.shape)
+        cloud = ranges[..., None] * rays
+        for plane in segment_cloud(cloud if as_grid else cloud.reshape(-1, 3), viewpoint=np.zeros(3)).planes:
+            axis = int(np.abs(turned @ plane.normal).argmax())
+            place = high[axis] if (turned @ plane.centre)[axis] > 0.0 else low[axis]
+            normal = turned[axis]
+            x, y, z = plane.frame[:3, :3].T @ normal
+            error = np.array(((place - normal @ plane.centre) / z, x / z, -y / z))
+            squares.append(error @ np.linalg.solve(plane.covariance, error))
+    assert 1.6 < np.median(squares) < 4.2
+    assert np.mean(np.array(squares) > 16.27) < 0.12
