@@ -236,9 +236,8 @@ class _Job:
             planes = hesse(moments_of(*found, labels[None], self.config))
             labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
-        planes = hesse(moments_of(*found, labels[None], self.config))
-        variances = self._fitting_variances(law, curve.points, eyes, labels, planes)
-        cloud = curve.points[None], variances[None, :, None]
+        variances = self._fitting_variances(law, *found, labels[None], eyes[None])
+        cloud = curve.points[None], variances[..., None]
         n_planes = int(labels.max(initial=-1)) + 1
         sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
@@ -250,7 +249,7 @@ class _Job:
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
         drawn = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
-        return self._result(labels[curve.number], drawn, origin, fitted, variances, by_eye)
+        return self._result(labels[curve.number], drawn, origin, fitted, variances[0], by_eye)
 
     def of_grid(self) -> CloudPlanes:
         """Planes of a grid."""
@@ -258,7 +257,7 @@ class _Job:
         grid, curve, law, variances = self._grid
         here = np.isfinite(grid[..., 0])
         spread = np.ones(here.shape)
-        spread[here] = self._stated(variances)[curve.number]
+        spread[here] = variances[curve.number] if self.sigma is None else self.sigma**2
         found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
         labels = once = _largest_first(found.labels)
         if len(curve.points) < len(curve.number):  # copies take part in the search, and tell the fit nothing
@@ -266,8 +265,7 @@ class _Job:
             counted[here] = curve.number_of_first()[curve.number] == np.arange(len(curve.number))
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
-        planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
-        spread[here] = self._fitting_variances(law, grid[here], np.zeros(3), labels[here], planes)
+        spread = self._fitting_variances(law, grid, spread[..., None], labels, np.zeros(3))
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
         fitted = fit_labelled(grid, spread[..., None], once, eyes, self.config, views=views, stated=stated)
@@ -285,29 +283,35 @@ class _Job:
                 "sigma: expected a standard deviation, for the cloud shows no flat places to measure it at"
             )
         least = _LEAST_SIGMA_M if self.sigma is None else as_positive("sigma", self.sigma)
-        law = NoiseLaw(*(np.zeros(1), np.zeros(1)) if shown is None else shown)
+        law = shown or NoiseLaw(np.zeros(1), np.zeros(1))
         law = law._replace(variances=np.maximum(law.variances, least**2))
         return law, law.at(curve.smoothed(ranges))
 
-    def _stated(self, variances: FloatArray) -> FloatArray:
-        """Variances (N,) of points for what finds by itself where a stated one is too small."""
-        return variances if self.sigma is None else np.full(len(variances), self.sigma**2)
-
     def _fitting_variances(
-        self, law: NoiseLaw, points: FloatArray, eyes: FloatArray, labels: np.ndarray, planes: FloatArray
+        self, law: NoiseLaw, points: FloatArray, variances: FloatArray, labels: np.ndarray, eyes: FloatArray
     ) -> FloatArray:
-        """Of points (N, 3) for covariances, shape (N,), m^2, by how far their planes (R, 4) are along their beams.
+        """For covariances, shape (S, B), m^2: of points by how far their planes are along their beams, 1 of no return.
 
         By where a point was measured, alone or with its neighbours, those measured too short would weigh more.
+
+        Args:
+            law: how noise goes with the range.
+            points, labels: shape (S, B, 3), m, NaN = no return, and (S, B), -1 = none.
+            variances: that they were labelled with, shape (S, B, 1), m^2.
+            eyes: where they were seen from, shape (S, B, 3) or (3,), m.
         """
+        here = np.isfinite(points[..., 0])
+        if self.sigma is not None:
+            return np.where(here, self.sigma**2, 1.0)
         away = points - eyes
-        ranges = np.linalg.norm(away, axis=1)
-        if len(planes):
-            normals, offsets = planes[labels, :3], planes[labels, 3]
-            along, to_plane = (normals * away).sum(axis=1), offsets - (normals * eyes).sum(axis=1)
-            share = np.divide(to_plane, along, out=np.ones(len(points)), where=(labels >= 0) & (along != 0.0))
+        ranges = np.linalg.norm(away, axis=-1)
+        if (labels >= 0).any():
+            planes = hesse(moments_of(points, variances, labels, self.config))[labels]
+            along = (planes[..., :3] * away).sum(axis=-1)
+            to_plane = planes[..., 3] - (planes[..., :3] * eyes).sum(axis=-1)
+            share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
             ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)
-        return self._stated(law.at(ranges))
+        return np.where(here, law.at(ranges), 1.0)
 
     def _result(
         self,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from spplanes import segment_cloud
+from spplanes import Plane, segment_cloud
 from spplanes.segmentation.cloud import _Job
 from tests.spplanes.scenes import spun, to_walls
 
@@ -283,11 +283,10 @@ def test_planes_of_cameras_with_growing_noise_are_as_sure_as_they_say(as_grid: b
         ranges += 0.02 * (ranges / 3.0) ** 2 * rng.normal(size=ranges.shape)
         cloud = ranges[..., None] * rays
         for plane in segment_cloud(cloud if as_grid else cloud.reshape(-1, 3), viewpoint=np.zeros(3)).planes:
-            axis = int(np.abs(turned @ plane.normal).argmax())
+            normal = turned @ plane.normal
+            axis = int(np.abs(normal).argmax())
             place = high[axis] if (turned @ plane.centre)[axis] > 0.0 else low[axis]
-            normal = turned[axis]
-            x, y, z = plane.frame[:3, :3].T @ normal
-            error = np.array(((place - normal @ plane.centre) / z, x / z, -y / z))
-            squares.append(error @ np.linalg.solve(plane.covariance, error))
+            facing = np.sign(normal[axis])
+            squares.append(plane.mahalanobis(Plane.from_hesse(facing * turned[axis], facing * place, np.zeros((3, 3)))))
     assert 1.6 < np.median(squares) < 4.2
     assert np.mean(np.array(squares) > 16.27) < 0.12
