@@ -572,6 +572,13 @@ MUTATIONS = (
         "            pass\n",
         "tests/slam/frontend/test_stalled_wheels.py",
     ),
+    Mutation(
+        "clouds: scatter along beams is taken to grow where beams graze",
+        "spplanes/clouds/scatter.py",
+        "squares - 2.0 * np.log(",
+        "squares + 2.0 * np.log(",
+        "tests/spplanes/segmentation/test_cloud.py -k noise_lies_along",
+    ),
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
 
 from spplanes._check import FloatArray
 
@@ -10,6 +11,14 @@ from spplanes._check import FloatArray
 _SAME_SURFACE = 0.05
 #: The wider of two steps between beams is less than so many times the narrower, as chords.
 _EVEN = 2.5
+#: Beams that meet a plane at less than this sine tell nothing of their noise.
+_GRAZING = 0.1
+#: Points nearer to their planes than this are taken for that near, m: logarithms of zero tell nothing.
+_ON_PLANE_M = 1e-6
+#: Variance of the logarithm of a chi2 of one dof.
+_LOG_VARIANCE = 0.5 * np.pi**2
+#: Chance that noise that is alike everywhere is taken for noise along beams.
+_SIGNIFICANCE = 1e-6
 
 
 def misses_of(grid: FloatArray, lag: int = 1, *, closed: bool = False) -> FloatArray:
@@ -35,6 +44,31 @@ def misses_of(grid: FloatArray, lag: int = 1, *, closed: bool = False) -> FloatA
         near = np.maximum(np.abs(a - b), np.abs(c - b)) < _SAME_SURFACE * b
         even = np.maximum(ab, bc) < _EVEN**2 * np.minimum(ab, bc)
     return np.where(near & even & (ab > 0.0) & (bc > 0.0) & (ab < 4.0) & (bc < 4.0), missed, np.nan)
+
+
+def scatter_along_beams(points: FloatArray, eyes: FloatArray, labels: np.ndarray, planes: FloatArray) -> bool:
+    """Whether points scatter about their planes as by noise along beams from their eyes, not as if alike everywhere.
+
+    Along beams their squares go with sin^2 of the angle at which the plane is met, whatever else goes with the range.
+    The two are compared by logarithms of squares, in which outliers count little.
+
+    Args:
+        points, eyes: shape (N, 3), m.
+        labels: plane of every point, shape (N,), -1 = none.
+        planes: (normal, d), shape (R, 4).
+    """
+    on = labels >= 0
+    if not on.any():
+        return False
+    normals, d, beams = planes[labels[on], :3], planes[labels[on], 3], points[on] - eyes[on]
+    ranges = np.linalg.norm(beams, axis=1)
+    sines = np.abs((normals * beams).sum(axis=1)) / ranges
+    squares = 2.0 * np.log(np.maximum(np.abs((normals * points[on]).sum(axis=1) - d), _ON_PLANE_M))
+    by_range = np.vander(np.log(ranges), 3)
+    beyond = squares - 2.0 * np.log(np.maximum(sines, _GRAZING))
+    beyond = beyond - by_range @ np.linalg.lstsq(by_range, beyond, rcond=None)[0]
+    gain = ((squares - squares.mean()) ** 2).sum() - (beyond**2).sum()
+    return bool(gain > _LOG_VARIANCE * chdtri(by_range.shape[1], _SIGNIFICANCE))
 
 
 def _squares(vectors: FloatArray) -> FloatArray:

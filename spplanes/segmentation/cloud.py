@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape, check_instance
 from spplanes.clouds.arrange import arrange
 from spplanes.clouds.octree import Curve, NoiseLaw
+from spplanes.clouds.scatter import scatter_along_beams
 from spplanes.fitting.rounding import coordinate_steps
 from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
@@ -138,7 +139,8 @@ def segment_cloud(
             through their neighbours.
         viewpoint: where the cloud was seen from, shape (3,), or every point of points (N, 3) by itself, shape (N, 3),
             m: normals point there, noise lies along beams from there. None: the normals of an Open3D cloud that has
-            some, else the origin, and noise along normals.
+            some, else the origin; noise lies along beams from there where points scatter as it would, else along
+            normals.
         normals: of points (N, 3), shape (N, 3), to turn the planes' by instead. Those that are zero or NaN are left
             out; planes whose points have none, or some to either side, turn to the viewpoint.
         config: settings of the segmentation.
@@ -236,14 +238,15 @@ class _Job:
             planes = hesse(moments_of(*found, labels[None], self.config))
             labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
-        variances = self._fitting_variances(law, *found, labels[None], eyes[None])
+        planes = hesse(moments_of(*found, labels[None], self.config))
+        variances = self._fitting_variances(law, curve.points[None], planes, labels[None], eyes[None])
         cloud = curve.points[None], variances[..., None]
         n_planes = int(labels.max(initial=-1)) + 1
         sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
             ahead, agreed = _ahead_of(curve.points, normals[self.seen][first], labels, n_planes)
             sides, by_eye = np.where(agreed[:, None], ahead, sides), placed | ~agreed
-        views = eyes[None] if placed else None
+        views = eyes[None] if placed or scatter_along_beams(curve.points, eyes, labels, planes) else None
         fitted = fit_labelled(*cloud, labels[None], sides, self.config, views=views, stated=self.sigma is not None)
         outlines = outlines_of_groups(
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
@@ -265,7 +268,8 @@ class _Job:
             counted[here] = curve.number_of_first()[curve.number] == np.arange(len(curve.number))
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
-        spread = self._fitting_variances(law, grid, spread[..., None], labels, np.zeros(3))
+        planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
+        spread = self._fitting_variances(law, grid, planes, labels, np.zeros(3))
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
         fitted = fit_labelled(grid, spread[..., None], once, eyes, self.config, views=views, stated=stated)
@@ -288,7 +292,7 @@ class _Job:
         return law, law.at(curve.smoothed(ranges))
 
     def _fitting_variances(
-        self, law: NoiseLaw, points: FloatArray, variances: FloatArray, labels: np.ndarray, eyes: FloatArray
+        self, law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
     ) -> FloatArray:
         """For covariances, shape (S, B), m^2: of points by how far their planes are along their beams, 1 of no return.
 
@@ -297,7 +301,7 @@ class _Job:
         Args:
             law: how noise goes with the range.
             points, labels: shape (S, B, 3), m, NaN = no return, and (S, B), -1 = none.
-            variances: that they were labelled with, shape (S, B, 1), m^2.
+            planes: (normal, d) of the labels, shape (R, 4).
             eyes: where they were seen from, shape (S, B, 3) or (3,), m.
         """
         here = np.isfinite(points[..., 0])
@@ -305,10 +309,9 @@ class _Job:
             return np.where(here, self.sigma**2, 1.0)
         away = points - eyes
         ranges = np.linalg.norm(away, axis=-1)
-        if (labels >= 0).any():
-            planes = hesse(moments_of(points, variances, labels, self.config))[labels]
-            along = (planes[..., :3] * away).sum(axis=-1)
-            to_plane = planes[..., 3] - (planes[..., :3] * eyes).sum(axis=-1)
+        if len(planes):
+            normals, d = planes[labels, :3], planes[labels, 3]
+            along, to_plane = (normals * away).sum(axis=-1), d - (normals * eyes).sum(axis=-1)
             share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
             ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)
         return np.where(here, law.at(ranges), 1.0)
