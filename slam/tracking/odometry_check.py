@@ -19,8 +19,9 @@ from factors._conventions import POSE3_TO_SP
 from factors.association.observations import planes_of
 from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.laser_odometry.stalled_wheels import STANDING
 from slam.frontend.odometry import Motion
-from slam.geometry.frames import inverse
+from slam.geometry.frames import are_apart, inverse
 from slam.map.landmarks import LandmarkMap
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import fit_pairs
@@ -108,7 +109,7 @@ def check(
     and speaks against it from a place that fits clearly better and is as far off; where nothing of it was seen before
     there is nothing to say. A motion as this body makes none is asked so in any case: odometry that begins anew leads
     to where a scan fits somehow. So is what was wrong the step before, which is as likely wrong again as not: wheels
-    that slip or stand still do so for a while.
+    that slip or stand still do so for a while. While wheels stand, the planes of two scans are where they were.
 
     Args:
         keyframe: what is seen.
@@ -131,6 +132,8 @@ def check(
         by_planes = planes_confirm(motion, before, seen, scan.elements, significance)
         if by_planes is not None:
             return by_planes, None
+    if (moved := _moved_while_standing(motion, before, seen, significance)) is not None:
+        return moved, None
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
     if known is None:
@@ -203,20 +206,46 @@ def planes_confirm(
     Returns:
         Where they have the body; None: they do not confirm the motion.
     """
-    mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
-    pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
-    if not len(pairs) or not _most_paired(mine, pairs[:, 0]):
-        return None
-    [fit] = fit_pairs([motion.a_T_b], mine, theirs, [pairs], (WEAK_M, WEAK_RAD))
+    fit = _laid_by_planes(motion, before, seen)
     if fit is None:
         return None
-    place, covariance = inverse(motion.a_T_b) @ fit[0], fit[1]
+    place, covariance = fit
     (by_planes, fitted), (at_best, _) = _believed(covariance), _by_returns(most_information(elements))
     apart = motion.spatial
     widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
     if widest >= _AS_GOOD**2 or not _agree(motion, place, fitted, significance):
         return None
     return Check(False, by_planes, displacement(np.eye(4), place), fitted)
+
+
+def _laid_by_planes(
+    motion: Motion, before: Sequence[Plane], seen: Sequence[Plane]
+) -> tuple[FloatArray, FloatArray] | None:
+    """Where most planes of a scan lie on those of the one before, from where a motion leads, with GTSAM covariance."""
+    mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
+    pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
+    if not len(pairs) or not _most_paired(mine, pairs[:, 0]):
+        return None
+    [fit] = fit_pairs([motion.a_T_b], mine, theirs, [pairs], (WEAK_M, WEAK_RAD))
+    return None if fit is None else (inverse(motion.a_T_b) @ fit[0], fit[1])
+
+
+def _moved_while_standing(
+    motion: Motion, before: Sequence[Plane], seen: Sequence[Plane], significance: float
+) -> Check | None:
+    """What the planes of two scans say against wheels that stand, None: nothing.
+
+    What a fit leaves out is alike in two scans of one place: while a body stands its planes stay where they are to
+    their noise. In a bare corridor they tell that it turns and goes aside by a little, as a body does that drives on.
+    """
+    fit = None if are_apart(np.eye(4), motion.a_T_b, STANDING, STANDING) else _laid_by_planes(motion, before, seen)
+    if fit is None:
+        return None
+    place, (believed, fitted) = fit[0], _believed(fit[1])
+    by_noise = believed - stated(np.zeros((6, 6)))
+    if _agree(motion, place, by_noise, significance):
+        return None
+    return Check(True, believed, displacement(np.eye(4), place), fitted)
 
 
 def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:

@@ -23,7 +23,7 @@ from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 
 #: Wheels stand that are nearer than this to where they were, m and rad.
-_STANDING = 1e-3
+STANDING = 1e-3
 #: A return differs from those of its beam by more than noise where it does by so many standard deviations, for the rig
 #: may state too little.
 _DIFFERS = 6.0
@@ -63,7 +63,7 @@ def stalls_of(scans: Sequence[LaserScan], sensor: Sensor, track: OdometryTrack) 
         return []
     poses, found, first = track.poses_at([scan.stamp_ns for scan in scans]), [], 0
     for end in range(1, len(scans) + 1):
-        if end < len(scans) and not are_apart(poses[first], poses[end], _STANDING, _STANDING):
+        if end < len(scans) and not are_apart(poses[first], poses[end], STANDING, STANDING):
             continue
         if end - first >= _FEW and _sees_another_place(scans[first:end], sensor):
             found.append(Stall(scans[first].stamp_ns, scans[end - 1].stamp_ns))
