@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.frontend.scan_surfaces import ON_EDGE
+from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE
 from spplanes._jit import njit
 
 
@@ -46,9 +46,11 @@ def point_to_plane(elements, motion, nearest, known, reach, least_cosine):
 
     Returns:
         Which elements (K,), how far off along their partners' directions (K,), m, the derivatives by the tangent of the
-        motion on the right (K, 6), and the variances by the noise of both (K,), m^2.
+        motion on the right (K, 6), the variances by the noise of both (K,), m^2, and those of the partners' directions
+        (K,), rad^2: of patches that were laid on their own few points, spread evenly over their widths.
     """
     index, off, variance = np.empty(len(elements), np.int64), np.empty(len(elements)), np.empty(len(elements))
+    tilt = np.zeros(len(elements))
     jacobian, turned, count = np.empty((len(elements), 6)), np.empty(3), 0
     for k in range(len(elements)):
         if nearest[k] < 0:
@@ -68,6 +70,8 @@ def point_to_plane(elements, motion, nearest, known, reach, least_cosine):
         for a in range(3):
             b, c = (a + 1) % 3, (a + 2) % 3
             jacobian[count, a], jacobian[count, 3 + a] = mine[b] * turned[c] - mine[c] * turned[b], turned[a]
+        if other[7] == ON_NO_PLANE:
+            tilt[count] = 12.0 * (other[6] / other[8]) ** 2
         index[count], off[count], variance[count] = k, along, mine[6] ** 2 + other[6] ** 2
         count += 1
-    return index[:count], off[:count], jacobian[:count], variance[:count]
+    return index[:count], off[:count], jacobian[:count], variance[:count], tilt[:count]

@@ -36,6 +36,8 @@ _KERNEL = 3.0
 _LEAST_SCALE_M = 0.003
 #: A motion has converged when a step is smaller, rad and m.
 _CONVERGED = 1e-4
+#: Cells cut surfaces where they may: patches are as much as twice as narrow as wide, and err by so much more.
+_CUT = 4.0
 #: Candidates are told apart by about so many elements; places are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
 #: Standard deviations of a motion that nothing says anything of, m and rad.
@@ -317,6 +319,8 @@ class Residuals:
     """By the tangent of the motion on the right, shape (K, 6)."""
     weights: FloatArray
     """Information of each, by its noise and the robust kernel, shape (K,), 1 / m^2."""
+    tilts: FloatArray
+    """Variances of the partners' directions, shape (K,), rad^2."""
 
     @classmethod
     def of(
@@ -335,14 +339,36 @@ class Residuals:
             kernel: width of the robust kernel, shape (N,), m; None: by how far off most are.
         """
         nearest, known = scan.nearest(lift(scan.elements[:, :3], motion), reach), scan.known.elements
-        index, off, jacobian, variance = point_to_plane(scan.elements, motion, nearest, known, reach, ALIKE)
+        index, off, jacobian, variance, tilts = point_to_plane(scan.elements, motion, nearest, known, reach, ALIKE)
         usual = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
         believed = 1.0 / (1.0 + (off / (_KERNEL * usual if kernel is None else kernel[index])) ** 2) ** 2
-        return cls(index, off, jacobian, believed / variance)
+        return cls(index, off, jacobian, believed / variance, tilts)
 
     def information(self) -> FloatArray:
         """Of the motion by all of them, shape (6, 6)."""
-        return self.jacobian.T @ (self.weights[:, None] * self.jacobian)
+        return self._known(np.ones(len(self.off), dtype=bool))
+
+    def _seeming(self, some: np.ndarray) -> FloatArray:
+        """Information of some of them, mask (K,), if directions were exact."""
+        return self.jacobian[some].T @ (self.weights[some, None] * self.jacobian[some])
+
+    def _known(self, some: np.ndarray) -> FloatArray:
+        """Information of some of them, mask (K,), without what they seem to know of the place by noise of directions.
+
+        Patches of a few points look every way by chance: some hundred of them on a bare floor fixed the way along a
+        corridor to a centimetre. Tilted by e, a direction across which a body moves adds e^2 to what is known of that:
+        along what the others leave open, patches say what they say beyond that.
+        """
+        tilted = some & (self.tilts > 0.0)
+        by_others, by_tilted = self._seeming(some & ~tilted), self._seeming(tilted)
+        axes = np.linalg.eigh(by_others[3:, 3:])[1]
+        share, along = self.weights[tilted] * self.tilts[tilted], self.jacobian[tilted, 3:] @ axes
+        by_chance = _CUT * (share[:, None] * (1.0 - along**2)).sum(axis=0)
+        seeming = np.einsum("ia,ij,ja->a", axes, by_tilted[3:, 3:], axes)
+        kept = np.sqrt(np.clip(1.0 - by_chance / np.maximum(seeming, 1e-12), 0.0, 1.0))
+        scale = np.eye(6)
+        scale[3:, 3:] = (axes * kept) @ axes.T
+        return by_others + scale @ by_tilted @ scale
 
     def step(self, motion: FloatArray, expected: Expected | None) -> FloatArray:
         """Of Gauss and Newton, toward less of them and toward what is expected, tangent of the motion, (6,)."""
@@ -350,13 +376,14 @@ class Residuals:
         if expected is not None:
             prior = expected.information
             told = told + prior @ gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected.known_T_seen) @ motion))
-        return np.linalg.solve(self.information() + prior, -told).astype(np.float64)
+        return np.linalg.solve(self._seeming(np.ones(len(self.off), dtype=bool)) + prior, -told).astype(np.float64)
 
     def told_by(self, elements: np.ndarray) -> tuple[FloatArray, FloatArray]:
         """Information of some elements, mask (N,), and information times their mean, about the motion."""
         some = elements[self.index]
-        weighted = self.weights[some, None] * self.jacobian[some]
-        return self.jacobian[some].T @ weighted, -weighted.T @ self.off[some]
+        told = -self.jacobian[some].T @ (self.weights[some] * self.off[some])
+        known = self._known(some)
+        return known, known @ np.linalg.solve(self._seeming(some) + WEAK_PRIOR, told)
 
 
 def _close(off: FloatArray, elements: FloatArray) -> FloatArray:
