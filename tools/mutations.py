@@ -579,6 +579,20 @@ MUTATIONS = (
         "squares + 2.0 * np.log(",
         "tests/spplanes/segmentation/test_cloud.py -k noise_lies_along",
     ),
+    Mutation(
+        "registration: patches know what noise of their directions makes them seem to know",
+        "slam/registration/surface_registration.py",
+        "return by_others + scale @ by_tilted @ scale",
+        "return by_others + by_tilted",
+        "tests/slam/registration/test_noisy_directions.py -k tilts",
+    ),
+    Mutation(
+        "odometry: planes that turn while wheels stand say nothing",
+        "slam/tracking/odometry_check.py",
+        "    return Check(True, believed, displacement(np.eye(4), place), fitted)\n",
+        "    return None\n",
+        "tests/slam/tracking/test_standing_wheels.py -k hang",
+    ),
 )
 
 

@@ -36,8 +36,9 @@ _KERNEL = 3.0
 _LEAST_SCALE_M = 0.003
 #: A motion has converged when a step is smaller, rad and m.
 _CONVERGED = 1e-4
-#: Cells cut surfaces where they may: patches are as much as twice as narrow as wide, and err by so much more.
-_CUT = 4.0
+#: Cells cut surfaces where they may: of patches that are narrower than wide directions err by more, by so many times as
+#: a variance.
+_CUT = 2.0
 #: Candidates are told apart by about so many elements; places are one when no entry differs by more.
 _SOME, _SAME = 700, 5e-3
 #: Standard deviations of a motion that nothing says anything of, m and rad.
@@ -348,8 +349,8 @@ class Residuals:
         """Of the motion by all of them, shape (6, 6)."""
         return self._known(np.ones(len(self.off), dtype=bool))
 
-    def _seeming(self, some: np.ndarray) -> FloatArray:
-        """Information of some of them, mask (K,), if directions were exact."""
+    def _seeming(self, some: np.ndarray | slice = slice(None)) -> FloatArray:
+        """Information of some of them, mask (K,), or of all, if directions were exact."""
         return self.jacobian[some].T @ (self.weights[some, None] * self.jacobian[some])
 
     def _known(self, some: np.ndarray) -> FloatArray:
@@ -376,7 +377,7 @@ class Residuals:
         if expected is not None:
             prior = expected.information
             told = told + prior @ gtsam.Pose3.Logmap(gtsam.Pose3(inverse(expected.known_T_seen) @ motion))
-        return np.linalg.solve(self._seeming(np.ones(len(self.off), dtype=bool)) + prior, -told).astype(np.float64)
+        return np.linalg.solve(self._seeming() + prior, -told).astype(np.float64)
 
     def told_by(self, elements: np.ndarray) -> tuple[FloatArray, FloatArray]:
         """Information of some elements, mask (N,), and information times their mean, about the motion."""
