@@ -1,10 +1,12 @@
 """Is the covariance right (NEES), and is the estimate as good as it can be (Cramer-Rao)? On nine scenes, seeded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from spplanes import fit_plane
-from tests.spplanes.fitting.fit_scenes import Scene, linear_run, plane_frame, run, scenes
+from tests.spplanes.fitting.fit_scenes import Scene, linear_run, loss, plane_frame, run, scenes
 from tests.statistics import assert_mean_in_band, nees
 
 RUNS = 2000
@@ -19,11 +21,6 @@ def fit(method="ml", **options):
         return fit_plane(points, scene.covariances, method=method, viewpoint=scene.sensor, **scene.shared, **options)
 
     return task
-
-
-def loss(local, scene):
-    """Root mean square error over the Cramer-Rao bound, all three components in the bound's own metric."""
-    return np.sqrt(np.einsum("ri,ij,rj->r", local, np.linalg.inv(scene.crb()), local).mean() / 3.0)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -55,47 +52,40 @@ def test_sp_with_shared_poses_is_consistent():
 def test_covariances_taken_at_the_measured_points():
     """As a user does it: the sensor model is evaluated where the points were seen, not where they are."""
     scene = SCENES["noise growing with range"]
-
-    def measured(points, scene):
-        return fit_plane(points, scene.model(points), viewpoint=scene.sensor)
-
-    values, _, _ = run(scene, measured, RUNS, seed=4)
+    values, _, _ = run(scene, lambda points, s: fit_plane(points, s.model(points), viewpoint=s.sensor), RUNS, seed=4)
     assert_mean_in_band(values, 3)
 
 
 @pytest.mark.parametrize("length", [2.0, 0.08])
 def test_narrow_patch_in_isotropic_noise(length):
     """A strip, or a square, hardly wider than the noise is deep: that noise must be taken out of its width."""
-    rng = np.random.default_rng(6)
-    frame = plane_frame(3.0, 30.0)
-    local = np.column_stack([0.5 * length * rng.uniform(-1, 1, 400), rng.uniform(-0.03, 0.03, 400), np.zeros(400)])
-    points = local @ frame[:3, :3].T + frame[:3, 3]
-    scene = Scene(points, np.tile(0.01**2 * np.eye(3), (400, 1, 1)), frame, np.zeros(3))
+    rng, frame = np.random.default_rng(6), plane_frame(3.0, 30.0)
+    local = np.column_stack([0.5 * length * rng.uniform(-1, 1, 400), rng.uniform(-0.03, 0.03, 400)])
+    scene = of_places(frame, local, np.full(400, 0.01))
     values, _, covariances = run(scene, fit(), RUNS, seed=5)
     assert_mean_in_band(values, 3)
-    naive = scene.crb()[2, 2]
-    assert np.mean(covariances[:, 2, 2]) > 1.1 * naive
+    assert np.mean(covariances[:, 2, 2]) > 1.1 * scene.crb()[2, 2]
+
+
+def of_places(frame, local, sigma):
+    """Points at places (N, 2) of a plane, with isotropic noise (N,)."""
+    points = local @ frame[:3, :2].T + frame[:3, 3]
+    return Scene(points, sigma[:, None, None] ** 2 * np.eye(3), frame, np.zeros(3))
 
 
 def lopsided():
     """Noise 20 times as strong in one corner: with weights that do not match it, all three errors are correlated."""
-    rng = np.random.default_rng(7)
-    frame = plane_frame(3.0, 25.0)
-    u = rng.uniform(-1, 1, (200, 2))
-    sigma = 0.01 * 4.5 ** (0.5 * (u[:, 0] + u[:, 1]))
-    local = np.column_stack([1.5 * u[:, 0], u[:, 1], np.zeros(200)])
-    points = local @ frame[:3, :3].T + frame[:3, 3]
-    return Scene(points, sigma[:, None, None] ** 2 * np.eye(3), frame, np.zeros(3))
+    u = np.random.default_rng(7).uniform(-1, 1, (200, 2))
+    return of_places(plane_frame(3.0, 25.0), u * (1.5, 1.0), 0.01 * 4.5 ** (0.5 * (u[:, 0] + u[:, 1])))
 
 
 def lopsided_poses():
     """Scans of one side of a wall only, whose pose errors have an origin far beside it."""
-    scene = SCENES["20 scans, shared poses"]
     rng = np.random.default_rng(8)
     root = 0.01 * rng.normal(size=(20, 6, 6)) + 0.02 * rng.normal(size=(1, 6, 6))
     poses = root @ root.transpose(0, 2, 1)
     poses[10:] *= 25.0
-    return Scene(scene.true_points, scene.covariances, scene.frame, scene.sensor, scene.scan_index, 0.001 * poses)
+    return replace(SCENES["20 scans, shared poses"], pose_covariances=0.001 * poses)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """What the fits refuse, with the sentence they say; and what they take."""
 
 import tracemalloc
+from functools import partial
 
 import numpy as np
 import pytest
@@ -108,7 +109,8 @@ def test_bad_labels(points, labels, message, robust):
 
 def test_points_without_a_label_are_left_out():
     assert fit_planes(POINTS, COVARIANCES, np.full(20, -1)) == []
-    assert fit_planes(np.empty((0, 3)), sigma=1.0, labels=np.empty(0, int)) == []
+    for none in (np.empty(0, int), []):
+        assert fit_planes(np.empty((0, 3)), sigma=1.0, labels=none) == []
 
 
 def test_singular_covariances_work():
@@ -123,12 +125,8 @@ def test_singular_covariances_work():
 
 def test_other_layouts_and_types_are_taken():
     reference = fit_plane(POINTS, COVARIANCES)
-    for points, covariances in (
-        (POINTS.tolist(), COVARIANCES.tolist()),
-        (np.asfortranarray(POINTS), np.asfortranarray(COVARIANCES)),
-        (np.repeat(POINTS, 2, axis=0)[::2], np.repeat(COVARIANCES, 2, axis=0)[::2]),
-    ):
-        np.testing.assert_array_equal(fit_plane(points, covariances).frame, reference.frame)
+    for other in (np.ndarray.tolist, np.asfortranarray, lambda array: np.repeat(array, 2, axis=0)[::2]):
+        np.testing.assert_array_equal(fit_plane(other(POINTS), other(COVARIANCES)).frame, reference.frame)
     single = fit_plane(POINTS.astype(np.float32), COVARIANCES.astype(np.float32))
     np.testing.assert_allclose(single.frame, reference.frame, atol=1e-5)
 
@@ -146,13 +144,10 @@ def test_peak_memory_is_below_one_copy_of_the_input(options):
     points = rng.normal(size=(50_000, 3)) * (2, 1, 0.01)
     covariances = np.tile(1e-4 * np.eye(3), (50_000, 1, 1))
     labels = rng.integers(0, 500, 50_000)
-    for task in (
-        lambda: fit_plane(points, covariances, **options),
-        lambda: fit_planes(points, covariances, labels, **options),
-    ):
-        task()
+    for task in (partial(fit_plane, points, covariances), partial(fit_planes, points, covariances, labels)):
+        task(**options)
         tracemalloc.start()
-        task()
+        task(**options)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < points.nbytes + covariances.nbytes

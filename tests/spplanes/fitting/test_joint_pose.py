@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from spplanes import fit_plane
 from spplanes.plane import Plane
-from tests.spplanes.fitting.fit_scenes import Linear
-from tests.statistics import assert_mean_in_band, mean_nees_band
+from tests.spplanes.fitting.fit_scenes import Linear, moved
+from tests.statistics import assert_mean_in_band
 
 SIGMA_M = 0.01
 SCANS, BEAMS = 12, 30
@@ -16,47 +17,32 @@ SCANS, BEAMS = 12, 30
 STEP = np.array([0.002, 0.003, 0.001, 0.002, 0.0005, 0.0005])
 
 
-def wall() -> np.ndarray:
-    """A wall y = 2, one vertical row of points a scan, shape (S, B, 3)."""
-    x = np.linspace(0.0, 1.5, SCANS)[:, None] + np.zeros(BEAMS)
-    z = np.linspace(-1.0, 1.0, BEAMS)[None] + np.zeros((SCANS, 1))
-    return np.stack((x, np.full_like(x, 2.0), z), axis=2)
+#: Joint covariance (6 S, 6 S) of a random walk: the error of scan s is the sum of the first s + 1 steps.
+RANDOM_WALK = np.kron(np.minimum.outer(np.arange(SCANS), np.arange(SCANS)) + 1.0, np.diag(STEP**2))
+#: A wall y = 2, one vertical row of points a scan, (S B, 3), and the scan of each point.
+WALL = np.stack(np.meshgrid(np.linspace(0.0, 1.5, SCANS), 2.0, np.linspace(-1.0, 1.0, BEAMS), indexing="ij"), axis=-1)
+WALL, INDEX = WALL.reshape(-1, 3), np.repeat(np.arange(SCANS), BEAMS)
 
 
-def random_walk() -> np.ndarray:
-    """Joint covariance (6 S, 6 S): the error of scan s is the sum of the first s + 1 steps."""
-    steps = np.minimum.outer(np.arange(SCANS), np.arange(SCANS)) + 1.0
-    return np.kron(steps, np.diag(STEP**2))
-
-
-def moved(points: np.ndarray, xi: np.ndarray) -> np.ndarray:
-    """Points (S, B, 3) under world-side pose errors (S, 6), first order."""
-    turn = xi[:, None, [5, 4, 3]]
-    return points + xi[:, None, :3] + np.cross(turn, points)
-
-
-def nees_of(method: str, joint: bool, runs: int) -> tuple[float, Linear]:
+def nees_of(method: str, runs: int) -> tuple[float, Linear]:
     """Mean NEES, and what the linear estimate with the same weights makes of the same noise."""
-    rng = np.random.default_rng(11)
+    rng, root = np.random.default_rng(11), np.linalg.cholesky(RANDOM_WALK)
     truth = Plane.from_hesse([0.0, -1.0, 0.0], -2.0, np.zeros((3, 3)))
-    root = np.linalg.cholesky(random_walk())
-    full = random_walk().reshape(SCANS, 6, SCANS, 6)
-    covariance = random_walk() if joint else np.stack([full[s, :, s, :] for s in range(SCANS)])
-    index = np.repeat(np.arange(SCANS), BEAMS)
+    shared = {"scan_index": INDEX, "pose_covariances": RANDOM_WALK}
     total, noise = 0.0, []
     for _ in range(runs):
-        points = moved(wall(), (root @ rng.standard_normal(6 * SCANS)).reshape(SCANS, 6))
-        points = points.reshape(-1, 3) + SIGMA_M * rng.standard_normal((SCANS * BEAMS, 3))
-        plane = fit_plane(
-            points, sigma=SIGMA_M, method=method, viewpoint=np.zeros(3), scan_index=index, pose_covariances=covariance
-        )
-        total += plane.mahalanobis(truth)
+        points = moved(WALL, (root @ rng.standard_normal(6 * SCANS)).reshape(SCANS, 6)[INDEX])
+        points += SIGMA_M * rng.standard_normal(WALL.shape)
+        total += fit_plane(points, sigma=SIGMA_M, method=method, viewpoint=np.zeros(3), **shared).mahalanobis(truth)
         noise.append(points[:, 1] - 2.0)
-    h = np.column_stack([np.ones(SCANS * BEAMS), wall().reshape(-1, 3)[:, [0, 2]]])
-    by_pose = np.stack([moved(wall(), np.tile(one, (SCANS, 1))) - wall() for one in np.eye(6)], axis=3)[..., 1, :]
-    shared = np.einsum("sbi,sitj,tcj->sbtc", by_pose, full, by_pose).reshape(SCANS * BEAMS, -1)
-    weights = np.ones(SCANS * BEAMS) if method == "sp" else None
-    return total / runs, Linear.of(np.array(noise), h, shared + SIGMA_M**2 * np.eye(SCANS * BEAMS), weights)
+    h = np.column_stack([np.ones(len(WALL)), WALL[:, [0, 2]]])
+    by_poses = np.zeros((len(WALL), SCANS, 6))
+    for k, one in enumerate(np.eye(6)):
+        by_poses[np.arange(len(WALL)), INDEX, k] = (moved(WALL, np.tile(one, (len(WALL), 1))) - WALL)[:, 1]
+    by_poses = by_poses.reshape(len(WALL), -1)
+    weights = np.ones(len(WALL)) if method == "sp" else None
+    covariance = by_poses @ RANDOM_WALK @ by_poses.T + SIGMA_M**2 * np.eye(len(WALL))
+    return total / runs, Linear.of(np.array(noise), h, covariance, weights)
 
 
 @pytest.mark.parametrize("method", ["ml", "sp"])
@@ -65,31 +51,28 @@ def test_a_random_walk_of_poses_is_consistent_with_its_joint_covariance(method: 
 
     What is neglected beyond first order adds 1 %; the mean of a fit alone scatters as little after 14,000 runs.
     """
-    nees, exact = nees_of(method, joint=True, runs=150)
+    nees, exact = nees_of(method, runs=150)
     assert_mean_in_band(exact.chi2, 3)
     assert nees == pytest.approx(exact.chi2.mean(), rel=0.03)
 
 
 def test_independent_scans_are_the_joint_case_without_cross_terms():
-    rng = np.random.default_rng(3)
-    points = wall().reshape(-1, 3) + SIGMA_M * rng.standard_normal((SCANS * BEAMS, 3))
-    index = np.repeat(np.arange(SCANS), BEAMS)
+    points = WALL + SIGMA_M * np.random.default_rng(3).standard_normal(WALL.shape)
     blocks = np.stack([np.diag(STEP**2) * (s + 1.0) for s in range(SCANS)])
-    joint = np.zeros((SCANS, 6, SCANS, 6))
-    joint[np.arange(SCANS), :, np.arange(SCANS), :] = blocks
-    by_scan = fit_plane(points, sigma=SIGMA_M, scan_index=index, pose_covariances=blocks)
-    jointly = fit_plane(points, sigma=SIGMA_M, scan_index=index, pose_covariances=joint.reshape(6 * SCANS, -1))
+    by_scan, jointly = (
+        fit_plane(points, sigma=SIGMA_M, scan_index=INDEX, pose_covariances=poses)
+        for poses in (blocks, block_diag(*blocks))
+    )
     np.testing.assert_allclose(jointly.frame, by_scan.frame, atol=1e-9)
     np.testing.assert_allclose(jointly.covariance, by_scan.covariance, rtol=1e-7, atol=1e-14)
 
 
-def tilting_scan(rng: np.random.Generator, root: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tilting_scan(rng: np.random.Generator, sigma_rad: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (N, 3) of a floor 0.4 m below, their lines (N,) and covariances (N, 3, 3); 60 lines that err in tilt."""
     points, line = [], []
     azimuth = np.deg2rad(np.arange(-60.0, 61.0, 4.0))
-    for index, (tilt, error) in enumerate(
-        zip(np.deg2rad(-48.0 + 0.5 * np.arange(60)), root @ rng.standard_normal(60), strict=True)
-    ):
+    tilts, errors = np.deg2rad(-48.0 + 0.5 * np.arange(60)), sigma_rad * rng.standard_normal(60)
+    for index, (tilt, error) in enumerate(zip(tilts, errors, strict=True)):
         rays = np.column_stack((np.cos(azimuth) * np.cos(tilt), np.sin(azimuth), np.cos(azimuth) * np.sin(tilt)))
         turn = np.array([[np.cos(error), 0.0, np.sin(error)], [0.0, 1.0, 0.0], [-np.sin(error), 0.0, np.cos(error)]])
         ranges = -0.4 / (rays @ turn.T)[:, 2]
@@ -101,20 +84,18 @@ def tilting_scan(rng: np.random.Generator, root: np.ndarray) -> tuple[np.ndarray
     return stacked, np.array(line), SIGMA_M**2 * np.einsum("ni,nj->nij", rays, rays) + 1e-12 * np.eye(3)
 
 
+def floor_of(points: np.ndarray, line: np.ndarray, noise: np.ndarray, sigma_rad: float) -> Plane:
+    """The plane of what `tilting_scan` gives."""
+    tilts = np.tile(sigma_rad**2 * np.diag(np.eye(6)[4]), (60, 1, 1))
+    return fit_plane(points, noise, viewpoint=np.zeros(3), scan_index=line, pose_covariances=tilts)
+
+
 @pytest.mark.parametrize("sigma_rad", [0.003, 0.012])
 def test_a_floor_under_a_jerking_scanner_is_consistent(sigma_rad: float):
     """With 1,500 points and 60 pose errors, weights by the uncorrected points had a NEES of 40 at 0.012 rad."""
-    rng, runs = np.random.default_rng(5), 150
-    truth = Plane.from_hesse([0.0, 0.0, 1.0], -0.4, np.zeros((3, 3)))
-    covariances = np.zeros((60, 6, 6))
-    covariances[:, 4, 4] = sigma_rad**2
-    total = 0.0
-    for _ in range(runs):
-        points, line, noise = tilting_scan(rng, sigma_rad * np.eye(60))
-        plane = fit_plane(points, noise, viewpoint=np.zeros(3), scan_index=line, pose_covariances=covariances)
-        total += plane.mahalanobis(truth)
-    low, high = mean_nees_band(runs, 3, 0.99)
-    assert low <= total / runs <= high
+    rng, truth = np.random.default_rng(5), Plane.from_hesse([0.0, 0.0, 1.0], -0.4, np.zeros((3, 3)))
+    scans = [tilting_scan(rng, sigma_rad) for _ in range(150)]
+    assert_mean_in_band([floor_of(*scan, sigma_rad).mahalanobis(truth) for scan in scans], 3)
 
 
 def log_likelihood(frame: np.ndarray, points: np.ndarray, line: np.ndarray, noise: np.ndarray, sigma: float) -> float:
@@ -134,10 +115,8 @@ def test_the_plane_is_the_likeliest_whatever_the_tilts_were():
     0.8 on the other side if the likeliest tilts are not taken to go with the plane.
     """
     sigma, step = 0.03, 1e-4
-    points, line, noise = tilting_scan(np.random.default_rng(6), sigma * np.eye(60))
-    covariances = np.zeros((60, 6, 6))
-    covariances[:, 4, 4] = sigma**2
-    plane = fit_plane(points, noise, viewpoint=np.zeros(3), scan_index=line, pose_covariances=covariances)
+    points, line, noise = tilting_scan(np.random.default_rng(6), sigma)
+    plane = floor_of(points, line, noise, sigma)
     gradient = np.empty(3)
     for k, sigma_k in enumerate(step * np.sqrt(np.diag(plane.covariance))):
         values = []

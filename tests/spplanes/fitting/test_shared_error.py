@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from spplanes import fit_plane, fit_planes
 from spplanes.fitting.shared_error import _log_likelihood, _Patches, shared_error_of
 
-SIGMA_M, N_WALLS = 0.005, 6
+SIGMA_M, N_WALLS, EYE = 0.005, 6, (0.0, 0.0, 9.0)
 
 
 def wandering(octave_m: float, rng: np.random.Generator, size: int = 128) -> np.ndarray:
@@ -30,24 +30,26 @@ def wall(octave_m: float, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack((x, y, z))
 
 
+def told(points: list[np.ndarray], stated: float = 1.0):
+    """What `shared_error_of` says of walls whose noise is stated as so many times what it is, and their planes."""
+    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=EYE, shared_error=False) for one in points]
+    frames, covariances = (np.array([getattr(one, name) for one in planes]) for name in ("frame", "covariance"))
+    variances, groups = np.array([[(stated * SIGMA_M) ** 2]]), np.repeat(np.arange(len(points)), 3000)
+    found = shared_error_of(np.concatenate(points), variances, groups, frames, stated**2 * covariances, stated=True)
+    return found, planes
+
+
+def errors_of(plane) -> np.ndarray:
+    """Errors of (z, theta, psi), shape (3,)."""
+    slope = plane.frame[:3, :3].T @ (0.0, 0.0, 1.0)
+    return np.array([-plane.centre[2] / plane.normal[2], slope[0] / slope[2], -slope[1] / slope[2]])
+
+
 def walls(octave_m: float, seed: int):
-    """What `shared_error_of` says of six walls, and the errors (6, 3) of their (z, theta, psi)."""
+    """What is said of six walls, and their errors (6, 3)."""
     rng = np.random.default_rng(seed)
-    points = [wall(octave_m, rng) for _ in range(N_WALLS)]
-    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=False) for one in points]
-    found = shared_error_of(
-        np.concatenate(points),
-        np.array([[SIGMA_M**2]]),
-        np.repeat(np.arange(N_WALLS), 3000),
-        np.array([plane.frame for plane in planes]),
-        np.array([plane.covariance for plane in planes]),
-        stated=True,
-    )
-    errors = []
-    for plane in planes:
-        slope = plane.frame[:3, :3].T @ (0.0, 0.0, 1.0)
-        errors.append([-plane.centre[2] / plane.normal[2], slope[0] / slope[2], -slope[1] / slope[2]])
-    return found, np.array(errors)
+    found, planes = told([wall(octave_m, rng) for _ in range(N_WALLS)])
+    return found, np.array([errors_of(plane) for plane in planes])
 
 
 def test_exact_walls_keep_the_covariance_of_their_noise():
@@ -77,11 +79,7 @@ def test_walls_that_wander_are_known_as_well_as_is_said(octave_m):
 
 def test_one_surface_that_is_worse_speaks_for_itself_only():
     rng = np.random.default_rng(0)
-    points = [wall(0.01 if k == 0 else 0.0, rng) for k in range(N_WALLS)]
-    planes = [fit_plane(one, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=False) for one in points]
-    frames, covariances = (np.array([getattr(one, name) for one in planes]) for name in ("frame", "covariance"))
-    groups = np.repeat(np.arange(N_WALLS), 3000)
-    found = shared_error_of(np.concatenate(points), np.array([[SIGMA_M**2]]), groups, frames, covariances, stated=True)
+    found, _ = told([wall(octave_m, rng) for octave_m in (0.01, 0.0, 0.0, 0.0, 0.0, 0.0)])
     assert found.octave_sigmas_m[0] == pytest.approx(0.01, rel=0.5)
     assert (found.octave_sigmas_m[1:] < 0.001).all()
 
@@ -91,24 +89,17 @@ def test_of_surfaces_that_differ_each_is_known_as_well_as_is_said():
     rng, labels, found = np.random.default_rng(6), np.repeat(np.arange(9), 3000), []
     for _ in range(20):
         points = np.concatenate([wall(octave_m, rng) for octave_m in (0.001, 0.003, 0.01) for _ in range(3)])
-        planes = fit_planes(points, labels=labels, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0))
-        slopes = np.array([plane.frame[2, :2] / plane.frame[2, 2] for plane in planes])
-        found.append(slopes**2 / [np.diagonal(plane.covariance)[1:] for plane in planes])
+        planes = fit_planes(points, labels=labels, sigma=SIGMA_M, viewpoint=EYE)
+        found.append([errors_of(plane)[1:] ** 2 / np.diagonal(plane.covariance)[1:] for plane in planes])
     means = np.array(found).reshape(20, 3, 6).mean(axis=(0, 2))  # 120 tilts: a standard deviation of 0.13
     assert (means > 0.4).all() and (means < 1.6).all()  # the least uneven 0.14 where most are taken to be alike
 
 
-def test_noise_that_was_stated_too_small_is_seen_and_too_large_is_believed():
-    rng = np.random.default_rng(1)
-    points = wall(0.0, rng)
-    plane = fit_plane(points, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=False)
-    for stated, expected in ((0.5, 4.0), (1.0, 1.0), (2.0, 1.0)):
-        covariance = plane.covariance * stated**2
-        variance = np.array([[(stated * SIGMA_M) ** 2]])
-        groups = np.zeros(3000, dtype=int)
-        found = shared_error_of(points, variance, groups, plane.frame[None], covariance[None], stated=True)
-        assert found.noise_factors[0] == pytest.approx(expected, rel=0.15)
-        np.testing.assert_allclose(found.covariances[0], found.noise_factors[0] * covariance)
+@pytest.mark.parametrize(("stated", "expected"), [(0.5, 4.0), (1.0, 1.0), (2.0, 1.0)])
+def test_noise_that_was_stated_too_small_is_seen_and_too_large_is_believed(stated, expected):
+    found, (plane,) = told([wall(0.0, np.random.default_rng(1))], stated)
+    assert found.noise_factors[0] == pytest.approx(expected, rel=0.15)
+    np.testing.assert_allclose(found.covariances[0], found.noise_factors[0] * stated**2 * plane.covariance)
 
 
 @pytest.mark.parametrize("octave_m", [0.0, 0.002])
@@ -118,9 +109,8 @@ def test_one_fit_is_as_sure_as_it_says_on_walls_that_wander_and_on_exact_ones(oc
     for _ in range(90):
         points = wall(octave_m, rng)
         for chosen, shared_error in ((tilts, True), (stated, False)):
-            plane = fit_plane(points, sigma=SIGMA_M, viewpoint=(0.0, 0.0, 9.0), shared_error=shared_error)
-            slope = plane.frame[:3, :3].T @ (0.0, 0.0, 1.0)
-            chosen.append(np.square((slope[0], slope[1]) / slope[2]) / np.diagonal(plane.covariance)[1:])
+            plane = fit_plane(points, sigma=SIGMA_M, viewpoint=EYE, shared_error=shared_error)
+            chosen.append(errors_of(plane)[1:] ** 2 / np.diagonal(plane.covariance)[1:])
     assert 0.6 < np.mean(tilts) < 1.4  # 180 tilts: a standard deviation of 0.11
     assert (np.mean(stated) > 30.0) == (octave_m > 0.0)
 
@@ -129,10 +119,12 @@ def test_planes_of_one_call_share_what_most_of_them_show():
     """A plane of few points is as uneven as the walls beside it, which alone it could not tell."""
     rng = np.random.default_rng(4)
     points = [wall(0.01, rng) for _ in range(N_WALLS)]
-    few = points[0][:60]
-    labels = np.repeat(np.arange(N_WALLS + 1), [60] + [3000] * N_WALLS)
-    [among, *_] = fit_planes(np.concatenate([few, *points]), labels=labels, sigma=SIGMA_M)
-    [stated, *_] = fit_planes(np.concatenate([few, *points]), labels=labels, sigma=SIGMA_M, shared_error=False)
+    labels, every = (
+        np.repeat(np.arange(N_WALLS + 1), [60] + [3000] * N_WALLS),
+        np.concatenate([points[0][:60], *points]),
+    )
+    [among, *_] = fit_planes(every, labels=labels, sigma=SIGMA_M)
+    [stated, *_] = fit_planes(every, labels=labels, sigma=SIGMA_M, shared_error=False)
     assert among.covariance[1, 1] > 20.0 * stated.covariance[1, 1]
 
 

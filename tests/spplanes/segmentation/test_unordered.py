@@ -71,7 +71,8 @@ def test_a_floor_alone_and_noise_that_is_not_shown():
     assert (labels >= 0).mean() > 0.99
     assert planes[0].normal[2] > 0.999
     exact = np.column_stack((rng.uniform(-5.0, 5.0, (2_000, 2)), np.zeros(2_000)))
-    assert np.diag(segment_cloud(exact)[1][0].covariance).min() > 0.0
+    found = segment_cloud(exact)
+    assert np.diag(found.planes[0].covariance).min() > 0.0 and found.noise.sigma_m > 0.99e-6
 
 
 @pytest.mark.parametrize(("min_points", "expected"), [(40, 2), (60, 1)])
