@@ -4,8 +4,6 @@ What is detectable, found and false is defined by `Score`. 180 to 1081 beams, 18
 sigma 5 to 30 mm. At the end: the range noise that a line shows of itself.
 """
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -19,46 +17,28 @@ LASERS = (
     np.radians(np.arange(-180, 180, 1.0)),
     np.radians(np.arange(-135, 135.01, 0.25)),
 )
-WORLDS = {"rooms": random_room, "corridors": random_corridor}
-SIGMAS = (0.005, 0.01, 0.015, 0.03)
 
 
-@cache
-def score(world_name: str, sigma: float) -> Score:
+@pytest.mark.parametrize("sigma", [0.005, 0.01, 0.015, 0.03])
+@pytest.mark.parametrize("world", [random_room, random_corridor])
+def test_walls_are_found_whole_none_is_invented_and_their_covariance_is_honest(world, sigma):
+    """Mean NEES inside its 95 % band about 2, beams of the neighbouring surfaces taken in or not.
+
+    Of the beams that hit a wall fewer than one in two walls misses one; as many of the next wall are taken.
+    """
     result, config = Score(), LineConfig()
     for angles in LASERS:
         rng = np.random.default_rng(11)
         for _ in range(25):
-            world, pose = WORLDS[world_name](rng)
-            truth = cast(world, angles, pose)
+            made, pose = world(rng)
+            truth = cast(made, angles, pose)
             ranges = truth.ranges + rng.normal(0.0, sigma, angles.size)
             lines = extract_lines(ranges, angles, sigma=sigma, config=config)
-            result.add_scan(world, pose, truth, lines, angles, sigma, config)
-    return result
-
-
-@pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("world", WORLDS)
-def test_walls_are_found_and_none_invented(world, sigma):
-    result = score(world, sigma)
+            result.add_scan(made, pose, truth, lines, angles, sigma, config)
     assert result.detectable > 300
     assert result.found >= 0.97 * result.detectable
     assert result.false <= 0.02 * result.lines
-
-
-@pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("world", WORLDS)
-def test_the_covariance_is_honest(world, sigma):
-    """Mean NEES inside its 95 % band about 2, beams of the neighbouring surfaces taken in or not."""
-    values = score(world, sigma).nees
-    assert abs(np.mean(values) - 2.0) < 1.96 * 2.0 / np.sqrt(len(values))
-
-
-@pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("world", WORLDS)
-def test_walls_are_not_shortened(world, sigma):
-    """Of the beams that hit a wall fewer than one in two walls misses one; as many of the next wall are taken."""
-    result = score(world, sigma)
+    assert abs(np.mean(result.nees) - 2.0) < 1.96 * 2.0 / np.sqrt(len(result.nees))
     assert np.mean(result.lost_beams) < 0.6
     assert np.mean(result.lost_beams) - np.mean(result.excess_beams) < 0.1
 

@@ -88,21 +88,11 @@ def test_memory_grows_with_planes_not_with_scans():
 
 
 def test_nothing_seen():
-    mapper = PlaneMapper()
-    assert (mapper.planes, mapper.n_points_seen, mapper.n_points_represented) == ([], 0, 0)
     mapper = PlaneMapper(MapperConfig(**SMALL, keep_labels=True))
+    assert (mapper.planes, mapper.n_points_seen, mapper.n_points_represented) == ([], 0, 0)
     for _ in range(50):
         mapper.add_scan(np.full((7, 3), np.nan), np.full((7, 3, 3), np.nan))
-    assert (mapper.planes, mapper.n_points_seen) == ([], 0)
-    assert mapper.labels().shape == (50, 7)
-
-
-def test_all_scans_have_as_many_beams():
-    mapper = PlaneMapper()
-    mapper.add_scan(np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1)))
-    with pytest.raises(ValueError, match=r"points: expected shape \(5, 3\), got \(6, 3\)"):
-        mapper.add_scan(np.ones((6, 3)), np.tile(np.eye(3), (6, 1, 1)))
-    assert mapper.n_points_seen == 5
+    assert (mapper.planes, mapper.n_points_seen, mapper.labels().shape) == ([], 0, (50, 7))
 
 
 GOOD = np.ones((5, 3)), np.tile(np.eye(3), (5, 1, 1))
@@ -134,11 +124,18 @@ def test_a_scan_that_is_refused_leaves_no_trace(points, covariances, more, messa
     assert mapper.n_points_seen == 7
 
 
-def test_viewpoints_come_with_all_scans_or_none():
+@pytest.mark.parametrize(
+    ("n_beams", "message"),
+    [
+        (6, r"points: expected shape \(5, 3\), got \(6, 3\)"),
+        (5, "viewpoint: expected one with every scan or with none, got none unlike"),
+    ],
+)
+def test_all_scans_have_as_many_beams_and_viewpoints_come_with_all_or_none(n_beams, message):
     mapper = PlaneMapper()
     mapper.add_scan(*GOOD, viewpoint=np.zeros(3))
-    with pytest.raises(ValueError, match="viewpoint: expected one with every scan or with none, got none unlike"):
-        mapper.add_scan(*GOOD)
+    with pytest.raises(ValueError, match=message):
+        mapper.add_scan(np.ones((n_beams, 3)), np.tile(np.eye(3), (n_beams, 1, 1)))
     assert mapper.n_points_seen == 5
 
 
@@ -177,8 +174,7 @@ def test_exact_points_and_singular_covariances_are_fine():
 def test_pose_errors_are_summed_with_their_correlation(decay):
     rng = np.random.default_rng(4)
     n_scans, n_beams = 12, 9
-    points = np.column_stack((np.ones(n_scans * n_beams), rng.uniform(-1, 1, (n_scans * n_beams, 2))))
-    points = points.reshape(n_scans, n_beams, 3)
+    points = np.concatenate((np.ones((n_scans, n_beams, 1)), rng.uniform(-1, 1, (n_scans, n_beams, 2))), axis=2)
     labels = np.zeros((n_scans, n_beams), dtype=np.int64)
     labels[rng.uniform(size=labels.shape) < 0.2] = -1
     root = rng.normal(size=(n_scans, 6, 6)) * 0.01
@@ -190,25 +186,21 @@ def test_pose_errors_are_summed_with_their_correlation(decay):
     frame[:3, 3] = used.mean(axis=0)
     local = (used - frame[:3, 3]) @ frame[:3, :3]
     axes = np.linalg.eigh(local[:, :2].T @ local[:, :2])[1][:, ::-1]
-    axes[:, 1] *= np.linalg.det(axes)
-    frame[:3, :2] = frame[:3, :2] @ axes
+    frame[:3, :2] = frame[:3, :2] @ axes @ np.diag([1.0, np.linalg.det(axes)])
     local = (used - frame[:3, 3]) @ frame[:3, :3]
     spread = 1e4 * np.array([len(used), (local[:, 0] ** 2).sum(), (local[:, 1] ** 2).sum()])
     total, running, anchor = np.zeros((1, 4, 4)), np.zeros((1, 6, 4)), np.array([[0.3, -0.2, 0.1]])
     plane = np.array([[1.0, 0.0, 0.0, 1.0]])
-    halves = slice(None, 5), slice(5, None)
-    for part in halves:
+    for part in (slice(None, 5), slice(5, None)):
         grid, errors = (points[part], variance[part], labels[part]), (roots[part], origins[part], decay)
         _pose_error.accumulate(grid, (plane, anchor), errors, total, running)
     got = _pose_error.covariance_of(frame, spread, anchor[0], total[0])
     h = np.column_stack((np.ones(len(local)), -local[:, 0], local[:, 1]))
     scan, gains = np.repeat(np.arange(n_scans), n_beams)[labels.ravel() >= 0], []
     for s in range(n_scans):
-        rows = np.zeros((len(used), 6))
-        p = used[scan == s] - origins[s]
+        rows, p = np.zeros((len(used), 6)), used[scan == s] - origins[s]
         rows[scan == s, 0] = 1.0
-        for k in range(3):
-            rows[scan == s, 5 - k] = np.cross(np.eye(3)[k], p)[:, 0]
+        rows[scan == s, 3:] = np.column_stack([np.cross(axis, p)[:, 0] for axis in np.eye(3)[::-1]])
         gains.append(np.linalg.lstsq(h, rows, rcond=None)[0] @ roots[s])
     rho = decay ** np.abs(np.subtract.outer(np.arange(n_scans), np.arange(n_scans)))
     want = sum(rho[s, t] * gains[s] @ gains[t].T for s in range(n_scans) for t in range(n_scans))

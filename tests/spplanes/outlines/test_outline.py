@@ -8,6 +8,11 @@ def cells(mask):
     return np.argwhere(mask).astype(np.int64)
 
 
+def outlined(mask):
+    """The outline of the cells of a mask, 0.1 m wide, in the plane z = 0."""
+    return outline.outline_from_cells(cells(mask), 0.1, 2, np.eye(4))
+
+
 def plane_at(normal, point):
     n = np.asarray(normal, dtype=float) / np.linalg.norm(normal)
     x = np.cross(n, [0.3, 0.5, -0.8])
@@ -19,25 +24,22 @@ def plane_at(normal, point):
 
 def test_rectangle_l_shape_and_hole_have_their_areas():
     full = np.ones((20, 30), bool)
-    shape = outline.outline_from_cells(cells(full), 0.1, 2, np.eye(4))
-    assert shape.area == pytest.approx(6.0)
-    assert shape.bounds == pytest.approx((0.0, 0.0, 2.0, 3.0))
-    corner = full.copy()
-    corner[10:, 15:] = False
-    assert outline.outline_from_cells(cells(corner), 0.1, 2, np.eye(4)).area == pytest.approx(4.5)
-    hole = full.copy()
-    hole[5:10, 5:10] = False
-    shape = outline.outline_from_cells(cells(hole), 0.1, 2, np.eye(4))
-    assert shape.area == pytest.approx(5.75)
-    assert len(shape.interiors) == 1
+    assert outlined(full).area == pytest.approx(6.0)
+    assert outlined(full).bounds == pytest.approx((0.0, 0.0, 2.0, 3.0))
+    corner, hole = full.copy(), full.copy()
+    corner[10:, 15:] = hole[5:10, 5:10] = False
+    assert outlined(corner).area == pytest.approx(4.5)
+    assert outlined(hole).area == pytest.approx(5.75)
+    assert len(outlined(hole).interiors) == 1
 
 
-def test_parts_apart_are_bridged():
-    mask = np.ones((20, 31), bool)
-    mask[:, 14:16] = False
-    shape = outline.outline_from_cells(cells(mask), 0.1, 2, np.eye(4))
-    assert shape.geom_type == "Polygon"
-    assert shape.area == pytest.approx(20 * 31 * 0.01, rel=0.03)
+def test_parts_apart_are_bridged_and_those_too_far_apart_leave_the_largest():
+    near, far = np.ones((20, 31), bool), np.zeros((60, 80), bool)
+    near[:, 14:16] = False
+    assert outlined(near).geom_type == "Polygon"
+    assert outlined(near).area == pytest.approx(20 * 31 * 0.01, rel=0.03)
+    far[2:12, 2:12], far[40:52, 50:70] = True, True
+    assert outlined(far).area == pytest.approx(2.4, rel=0.01)
 
 
 def test_cells_that_touch_at_a_corner_are_valid():
@@ -85,16 +87,8 @@ def test_regions_are_drawn_side_by_side_and_what_is_too_large_coarser():
     assert far.area == pytest.approx(12.0, rel=0.01)
 
 
-def test_parts_too_far_apart_leave_the_largest():
-    mask = np.zeros((60, 80), bool)
-    mask[2:12, 2:12], mask[40:52, 50:70] = True, True
-    shape = outline.outline_from_cells(cells(mask), 0.1, 2, np.eye(4))
-    assert shape.area == pytest.approx(2.4, rel=0.01)
-
-
 def test_an_outline_that_folds_back_is_mended():
-    mask = np.random.default_rng(0).random((40, 60)) < 0.55
-    shape = outline.outline_from_cells(cells(mask), 0.1, 2, np.eye(4))
+    shape = outlined(np.random.default_rng(0).random((40, 60)) < 0.55)
     assert shape.is_valid
     assert shape.geom_type == "Polygon"
 
