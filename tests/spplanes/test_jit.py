@@ -25,25 +25,22 @@ def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.
     _jit._are_brought.cache_clear()
 
 
-def has(monkeypatch: pytest.MonkeyPatch, **features: bool) -> None:
-    monkeypatch.setattr(llvmlite.binding, "get_host_cpu_features", lambda: features)
-
-
-def test_they_are_used_where_the_processor_has_what_they_need(brought: pytest.MonkeyPatch):
-    has(brought, avx2=True, fma=True, sse2=True)
-    assert _jit._are_brought()
-
-
-@pytest.mark.parametrize("features", [{"avx2": True}, {"avx2": True, "fma": False}, {}])
-def test_they_are_not_used_on_an_older_processor(brought: pytest.MonkeyPatch, features: dict[str, bool]):
-    has(brought, **features)
-    assert not _jit._are_brought()
-
-
-def test_they_are_not_used_where_another_processor_is_asked_for(brought: pytest.MonkeyPatch):
-    has(brought, avx2=True, fma=True)
-    brought.setattr(config, "CPU_NAME", "generic")
-    assert not _jit._are_brought()
+@pytest.mark.parametrize(
+    ("features", "asked_for", "are_used"),
+    [
+        ({"avx2": True, "fma": True, "sse2": True}, None, True),
+        ({"avx2": True, "fma": True, "sse2": True}, "generic", False),
+        ({"avx2": True}, None, False),
+        ({"avx2": True, "fma": False}, None, False),
+        ({}, None, False),
+    ],
+)
+def test_they_are_used_where_the_processor_has_what_they_need_and_no_other_is_asked_for(
+    brought: pytest.MonkeyPatch, features: dict[str, bool], asked_for: str | None, are_used: bool
+):
+    brought.setattr(llvmlite.binding, "get_host_cpu_features", lambda: features)
+    brought.setattr(config, "CPU_NAME", asked_for)
+    assert _jit._are_brought() == are_used
 
 
 def test_every_kernel_comes_through_here():

@@ -71,20 +71,15 @@ def test_transform_is_the_geometry_and_its_covariance_the_jacobian(pose):
     np.testing.assert_allclose(moved.endpoints @ moved.normal, moved.rho, atol=1e-12)
 
 
-def test_mahalanobis_is_chi2_of_the_difference():
-    other = make_line(alpha=0.72, rho=2.05)
-    error = np.array((0.02, 0.05))
+@pytest.mark.parametrize(
+    ("first", "second", "error"),
+    [
+        ((0.7, 2.0), (0.72, 2.05), (0.02, 0.05)),
+        ((np.pi - 0.01, 2.0), (-np.pi + 0.01, 2.0), (0.02, 0.0)),  # the short way round
+        ((0.7, 0.01), (0.7 - np.pi, 0.01, COVARIANCE * ((1.0, -1.0), (-1.0, 1.0))), (0.0, 0.02)),  # through the sensor
+    ],
+)
+def test_mahalanobis_is_chi2_of_the_difference(first, second, error):
     expected = error @ np.linalg.solve(2 * COVARIANCE, error)
-    assert make_line().mahalanobis(other) == pytest.approx(expected)
-    assert other.mahalanobis(make_line()) == pytest.approx(expected)
-
-
-def test_mahalanobis_through_the_sensor_knows_both_readings():
-    flip = np.array(((1.0, -1.0), (-1.0, 1.0)))
-    line, turned = make_line(0.7, 0.01), make_line(0.7 - np.pi, 0.01, COVARIANCE * flip)
-    error = np.array((0.0, 0.02))
-    assert line.mahalanobis(turned) == pytest.approx(error @ np.linalg.solve(2 * COVARIANCE, error))
-
-
-def test_mahalanobis_takes_the_short_way_round():
-    assert make_line(np.pi - 0.01).mahalanobis(make_line(-np.pi + 0.01)) < 2.0
+    assert make_line(*first).mahalanobis(make_line(*second)) == pytest.approx(expected)
+    assert make_line(*second).mahalanobis(make_line(*first)) == pytest.approx(expected)

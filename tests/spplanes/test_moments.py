@@ -48,11 +48,11 @@ def test_a_thousand_kilometres_from_the_origin():
     points, weights = cloud(3)
     points = np.round(points * 2**20) / 2**20
     near, far = Moments.from_points(points, weights), Moments.from_points(points + 2.0**20, weights)
-    np.testing.assert_allclose(far.scatter, near.scatter, rtol=1e-9, atol=1e-9 * np.abs(near.scatter).max())
-    halves = Moments.from_points(points[:30] + 2.0**20, weights[:30]) + Moments.from_points(
-        points[30:] + 2.0**20, weights[30:]
+    first, second = (
+        Moments.from_points(points[part] + 2.0**20, weights[part]) for part in (slice(30), slice(30, None))
     )
-    np.testing.assert_allclose(halves.scatter, near.scatter, rtol=1e-9, atol=1e-9 * np.abs(near.scatter).max())
+    for moved in (far, first + second):
+        np.testing.assert_allclose(moved.scatter, near.scatter, rtol=1e-9, atol=1e-9 * np.abs(near.scatter).max())
 
 
 @njit

@@ -17,15 +17,20 @@ except (ImportError, OSError):
 EYE = np.array([0.4, -0.3, 0.2])
 HALF = np.array([2.0, 1.5, 1.2])
 SIGMA_M = 0.004
+#: As many as the room has.
+POINTS = np.random.default_rng(0).normal(size=(7200, 3))
+
+
+def seen_from_eye(rows: int, columns: int) -> np.ndarray:
+    """A box seen from `EYE`, shape (rows, columns, 3), in the sensor's frame, with noise along the beams."""
+    rays = spun(np.linspace(0.9, -0.9, rows), np.linspace(-np.pi, np.pi, columns, False) + 0.013)
+    ranges = to_walls(rays, -HALF - EYE, HALF - EYE)
+    return rays * (ranges + SIGMA_M * np.random.default_rng(0).normal(size=ranges.shape))[..., None]
 
 
 @pytest.fixture(scope="module")
 def room() -> np.ndarray:
-    """A box seen from `EYE`, shape (40, 180, 3), in the sensor's frame, with noise along the beams."""
-    rays = spun(np.linspace(0.9, -0.9, 40), np.linspace(-np.pi, np.pi, 180, False) + 0.013)
-    ranges = to_walls(rays, -HALF - EYE, HALF - EYE)
-    ranges += SIGMA_M * np.random.default_rng(0).normal(size=ranges.shape)
-    grid = rays * ranges[..., None]
+    grid = seen_from_eye(40, 180)
     grid[3, 5:9] = np.nan
     return grid
 
@@ -47,12 +52,16 @@ def check(points: np.ndarray, labels: np.ndarray, planes: list, centre: np.ndarr
     assert [np.count_nonzero(labels == k) for k in range(len(planes))] == [plane.n_points for plane in planes]
 
 
-def test_grids_and_lists_of_points_give_the_same_walls(room):
+def test_grids_lists_of_points_and_tables_give_the_same_walls(room):
     flat = room.reshape(-1, 3)
     mixed = np.random.default_rng(1).permutation(flat)
-    for points in (room, flat, mixed, mixed.astype(np.float32)):
-        labels, planes = segment_cloud(points)
-        check(np.asarray(points, dtype=np.float64), labels, planes, -EYE)
+    table = np.zeros(room.shape[:2], dtype=[("intensity", "u1"), ("x", "f8"), ("y", "f8"), ("z", "f8")])
+    for k, axis in enumerate("xyz"):
+        table[axis] = room[..., k]
+    for given, points in ((room, room), (flat, flat), (mixed, mixed), (mixed.astype(np.float32), mixed)):
+        check(points, *segment_cloud(given), -EYE)
+    for given, points in ((table, room), (table.ravel(), flat)):
+        check(points, *segment_cloud(given, sigma=SIGMA_M), -EYE)
 
 
 @pytest.mark.parametrize("copies", [(1, 2), (3, 1)], ids=["written twice", "lines thrice"])
@@ -74,15 +83,6 @@ def test_points_repeated_in_a_grid_are_counted_and_make_no_plane_more_certain(ro
         np.testing.assert_allclose(np.diag(ours.covariance), np.diag(theirs.covariance), rtol=0.1)
 
 
-def test_structured_arrays(room):
-    table = np.zeros(room.shape[:2], dtype=[("intensity", "u1"), ("x", "f8"), ("y", "f8"), ("z", "f8")])
-    for k, axis in enumerate("xyz"):
-        table[axis] = room[..., k]
-    for given in (table, table.ravel()):
-        labels, planes = segment_cloud(given, sigma=SIGMA_M)
-        check(room.reshape(*given.shape, 3), labels, planes, -EYE)
-
-
 @pytest.mark.skipif(o3d is None, reason="open3d cannot be imported")
 def test_open3d_clouds(room):
     flat = room.reshape(-1, 3)
@@ -100,10 +100,9 @@ def test_open3d_clouds(room):
 def test_the_noise_is_measured_or_asked_for(room):
     sigmas = [np.sqrt(plane.covariance[0, 0] * plane.n_points) for plane in segment_cloud(room)[1]]
     assert np.median(sigmas) == pytest.approx(SIGMA_M, rel=0.5)
+    message = "sigma: expected a standard deviation, for the cloud shows no flat places"
     for no_planes in (room.reshape(-1, 3)[:20], np.random.default_rng(0).normal(size=(4_000, 3))):
-        with pytest.raises(
-            ValueError, match="sigma: expected a standard deviation, for the cloud shows no flat places"
-        ):
+        with pytest.raises(ValueError, match=message):
             segment_cloud(no_planes)
 
 
@@ -168,10 +167,8 @@ HOLES = {
 
 @pytest.mark.parametrize("missing", HOLES.values(), ids=HOLES)
 def test_a_grid_that_is_mostly_holes_has_its_planes_all_the_same(missing):
-    rays = spun(np.linspace(0.9, -0.9, 120), np.linspace(-np.pi, np.pi, 360, False) + 0.013)
-    ranges = to_walls(rays, -HALF - EYE, HALF - EYE)
-    grid = rays * (ranges + SIGMA_M * np.random.default_rng(0).normal(size=ranges.shape))[..., None]
-    grid[missing(*np.indices(ranges.shape))] = np.nan
+    grid = seen_from_eye(120, 360)
+    grid[missing(*np.indices(grid.shape[:2]))] = np.nan
     found, flat = segment_cloud(grid), segment_cloud(grid.reshape(-1, 3))
     walls, returns = found.planes[:6], np.isfinite(grid[..., 0])
     assert len(found.planes) <= 7 and len({tuple(np.rint(plane.normal)) for plane in walls}) == 6
@@ -199,32 +196,18 @@ def test_a_grid_with_few_holes_is_searched_as_a_grid(room, monkeypatch):
         ({"viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\), got \(2,\)"),
         ({"config": None}, "config: expected a MapperConfig, got NoneType"),
         ({"config": {}}, "config: expected a MapperConfig, got dict"),
+        ({"cloud": POINTS, "viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"),
+        ({"cloud": POINTS, "viewpoint": POINTS[1:]}, r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"),
+        ({"cloud": np.zeros((4, 2))}, r"cloud: expected shape \(N, 3\) or \(S, B, 3\), got \(4, 2\)"),
+        ({"cloud": np.zeros(4, [("x", "f8"), ("y", "f8")])}, "cloud: expected the fields x, y, z, got x, y"),
+        ({"cloud": "cloud.ply"}, "cloud: expected an array of numbers, got str"),
+        ({"cloud": None}, "cloud: expected"),
+        ({"cloud": np.full((9, 3), np.nan)}, "cloud: expected at least three points, got 0"),
     ],
 )
-def test_what_no_grid_is_searched_with(room, given, message):
+def test_what_is_no_cloud_and_what_none_is_searched_with(room, given, message):
     with pytest.raises(ValueError, match=message):
-        segment_cloud(room, **given)
-
-
-def test_the_viewpoint_of_points_has_either_shape(room):
-    for wrong in ((0.0, 0.0), np.zeros((7199, 3))):
-        with pytest.raises(ValueError, match=r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"):
-            segment_cloud(room.reshape(-1, 3), viewpoint=wrong)
-
-
-@pytest.mark.parametrize(
-    ("cloud", "message"),
-    [
-        (np.zeros((4, 2)), r"cloud: expected shape \(N, 3\) or \(S, B, 3\), got \(4, 2\)"),
-        (np.zeros(4, dtype=[("x", "f8"), ("y", "f8")]), "cloud: expected the fields x, y, z, got x, y"),
-        ("cloud.ply", "cloud: expected an array of numbers, got str"),
-        (None, "cloud: expected"),
-        (np.full((9, 3), np.nan), "cloud: expected at least three points, got 0"),
-    ],
-)
-def test_what_is_no_cloud(cloud, message):
-    with pytest.raises(ValueError, match=message):
-        segment_cloud(cloud)
+        segment_cloud(**{"cloud": room, **given})
 
 
 @pytest.mark.parametrize("thickness_m, sigma_m", [(0.2, 0.005), (0.05, 0.005), (0.02, 0.002)])
@@ -277,9 +260,8 @@ def test_planes_of_cameras_with_growing_noise_are_as_sure_as_they_say(given: str
     rng, squares = np.random.default_rng(5), []
     rays = spun(np.deg2rad(np.linspace(-22.0, 22.0, 240)), np.deg2rad(np.linspace(-29.0, 29.0, 320)))
     for _ in range(30):
-        turned = Rotation.from_euler(
-            "zyx", rng.uniform((-60.0, -20.0, -5.0), (60.0, 20.0, 5.0)), degrees=True
-        ).as_matrix()
+        angles = rng.uniform((-60.0, -20.0, -5.0), (60.0, 20.0, 5.0))
+        turned = Rotation.from_euler("zyx", angles, degrees=True).as_matrix()
         low, high = (side * rng.uniform((1.2, 1.2, 1.0), (3.5, 3.5, 1.5)) for side in (-1.0, 1.0))
         ranges = to_walls(rays @ turned.T, low, high)
         ranges += 0.02 * (ranges / 3.0) ** 2 * rng.normal(size=ranges.shape)

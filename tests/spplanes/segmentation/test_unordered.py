@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from slam.geometry.frames import poses_of
 from slam.io.cloud_folders import clouds_in
 from slam.io.clouds import read_cloud
 from spplanes import MapperConfig, Plane, segment_cloud
@@ -36,8 +37,7 @@ def assert_same(one, other, order: np.ndarray) -> None:
 
 def test_an_even_room_has_six_walls_whatever_the_order():
     points = box(0)
-    found = segment_cloud(points)
-    labels, planes = found
+    labels, planes = found = segment_cloud(points)
     assert len(planes) == 6
     assert (labels >= 0).mean() > 0.97
     assert [plane.n_points for plane in planes] == sorted((plane.n_points for plane in planes), reverse=True)
@@ -177,13 +177,9 @@ def matched(here: list[Plane], there: list[Plane], here_T_there: np.ndarray) -> 
 
 def test_angles_between_planes_of_a_real_hall_are_as_well_known_as_is_said():
     """Angles do not depend on any pose: claimed with the noise alone, their median chi2 is 39."""
-    from scipy.spatial.transform import Rotation
-
     clouds = np.linspace(0, 19, 7).astype(int)
     rows = np.loadtxt(needs("balm_hall/lidar_odometry.tum"))
-    poses = np.tile(np.eye(4), (len(clouds), 1, 1))
-    poses[:, :3, :3] = Rotation.from_quat(rows[clouds, 4:]).as_matrix()
-    poses[:, :3, 3] = rows[clouds, 1:4]
+    poses = poses_of(rows[clouds, 1:])
     files = clouds_in(DATA / "balm_hall")
     planes = [segment_cloud(read_cloud(files[k]).points)[1] for k in clouds]
     seen = []
