@@ -8,25 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import (
-    copy_graph,
-    direction_prior,
-    distance_factor,
-    line_factor,
-    line_factor_2d,
-    map_prior,
-    odometry_factor,
-    odometry_factor_2d,
-    parallel_factor,
-    perpendicular_factor,
-    planar_motion_factor,
-    plane_factor,
-    plane_landmark,
-    plane_prior,
-    pose_prior,
-    relative_pose_factor,
-    upright_prior,
-)
+import factors
 from factors._custom import describe
 from factors.archive import ArchiveError, dumps, loads, rekeyed
 from tests.factors.factor_scenes import random_line, random_plane, random_pose
@@ -41,26 +23,28 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     graph = gtsam.NonlinearFactorGraph()
     for robust in (None, "huber", "cauchy", ("geman-mcclure", 3.0), "dcs"):
         for factor in (
-            plane_factor(plane, X0, L0, robust=robust),
-            plane_factor(plane, X1, L0, anchor_key=X0, robust=robust),
-            plane_factor(plane, X0, L0, anchor_key=X0, robust=robust),
-            plane_prior(plane, L1, robust=robust),
-            line_factor(line, mount, X0, L0, robust=robust),
-            line_factor(line, mount, X1, L0, anchor_key=X0, robust=robust),
-            line_factor(line, mount, X1, L0, anchor_key=X0, expected=plane_landmark(plane), robust=robust),
-            line_factor_2d(line, mount, P0, L0, robust=robust),
-            odometry_factor(X0, X1, (1.0, 0.1, 0.2), np.diag([0.1, 0.2, 0.1]), robust=robust),
-            odometry_factor_2d(P0, P0 + 1, (1.0, 0.1, 0.2), np.diag([0.1, 0.2, 0.1]), robust=robust),
-            planar_motion_factor(X0, robust=robust),
-            pose_prior(X0, mount, np.eye(6), robust=robust),
-            relative_pose_factor(X0, X1, mount, np.eye(6), robust=robust),
-            direction_prior(L0, (0.1, 0.2, 1.0), 0.01, robust=robust),
-            direction_prior(L0, (0.0, 0.0, 1.0), 0.01, anchor_key=X0, robust=robust),
-            upright_prior(L0, 0.01, anchor_key=X0, robust=robust),
-            parallel_factor(L0, L1, 0.01, anchor_a=X0, robust=robust),
-            perpendicular_factor(L0, L1, 0.01, robust=robust),
-            distance_factor(L0, L1, 2.5, 0.01, anchor_a=X0, anchor_b=X1, robust=robust),
-            *(map_prior([plane] * n, (L1, L0, L2)[:n], np.eye(3 * n), robust=robust) for n in (1, 2, 3)),
+            factors.plane_factor(plane, X0, L0, robust=robust),
+            factors.plane_factor(plane, X1, L0, anchor_key=X0, robust=robust),
+            factors.plane_factor(plane, X0, L0, anchor_key=X0, robust=robust),
+            factors.plane_prior(plane, L1, robust=robust),
+            factors.line_factor(line, mount, X0, L0, robust=robust),
+            factors.line_factor(line, mount, X1, L0, anchor_key=X0, robust=robust),
+            factors.line_factor(
+                line, mount, X1, L0, anchor_key=X0, expected=factors.plane_landmark(plane), robust=robust
+            ),
+            factors.line_factor_2d(line, mount, P0, L0, robust=robust),
+            factors.odometry_factor(X0, X1, (1.0, 0.1, 0.2), np.diag([0.1, 0.2, 0.1]), robust=robust),
+            factors.odometry_factor_2d(P0, P0 + 1, (1.0, 0.1, 0.2), np.diag([0.1, 0.2, 0.1]), robust=robust),
+            factors.planar_motion_factor(X0, robust=robust),
+            factors.pose_prior(X0, mount, np.eye(6), robust=robust),
+            factors.relative_pose_factor(X0, X1, mount, np.eye(6), robust=robust),
+            factors.direction_prior(L0, (0.1, 0.2, 1.0), 0.01, robust=robust),
+            factors.direction_prior(L0, (0.0, 0.0, 1.0), 0.01, anchor_key=X0, robust=robust),
+            factors.upright_prior(L0, 0.01, anchor_key=X0, robust=robust),
+            factors.parallel_factor(L0, L1, 0.01, anchor_a=X0, robust=robust),
+            factors.perpendicular_factor(L0, L1, 0.01, robust=robust),
+            factors.distance_factor(L0, L1, 2.5, 0.01, anchor_a=X0, anchor_b=X1, robust=robust),
+            *(factors.map_prior([plane] * n, (L1, L0, L2)[:n], np.eye(3 * n), robust=robust) for n in (1, 2, 3)),
         ):
             graph.push_back(factor)
     values = gtsam.Values()
@@ -169,18 +153,18 @@ def test_a_landmark_with_a_new_home_is_the_same_plane_seen():
     old.insert(L0, landmark)
     new.insert(home, landmark.transform(poses[X0].inverse()).transform(new.atPose3(anchor)))
     for factor in (
-        plane_factor(plane, X0, L0, anchor_key=X0),
-        plane_factor(plane, X1, L0, anchor_key=X0),
-        line_factor(line, np.eye(4), X1, L0, anchor_key=X0),
+        factors.plane_factor(plane, X0, L0, anchor_key=X0),
+        factors.plane_factor(plane, X1, L0, anchor_key=X0),
+        factors.line_factor(line, np.eye(4), X1, L0, anchor_key=X0),
     ):
         again = rekeyed(factor, {}, {L0: (home, anchor)})
         assert set(again.keys()) <= {X0, X1, home, anchor}
         np.testing.assert_allclose(again.error(new), factor.error(old), rtol=1e-9)
-    for several in (parallel_factor(L0, L1, 0.01), map_prior([plane] * 3, [L1, L2, L0], np.eye(9))):
+    for several in (factors.parallel_factor(L0, L1, 0.01), factors.map_prior([plane] * 3, [L1, L2, L0], np.eye(9))):
         with pytest.raises(ArchiveError, match="single plane"):
             rekeyed(several, {}, {L0: (home, anchor)})
     with pytest.raises(ArchiveError, match="comes home"):
-        rekeyed(plane_factor(plane, X1, L0, anchor_key=X0), {}, {L0: (home, X1)})
+        rekeyed(factors.plane_factor(plane, X1, L0, anchor_key=X0), {}, {L0: (home, X1)})
 
 
 @pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])  # noqa: S301
@@ -197,7 +181,7 @@ def test_a_copied_factor_has_the_same_error(how):
 def test_a_copied_graph_shares_nothing():
     graph, values = everything()
     sizes = graph.size(), values.size()
-    copied, copied_values = copy_graph(graph, values)
+    copied, copied_values = factors.copy_graph(graph, values)
     assert copied.size() == graph.size()
     assert copied.error(copied_values) == pytest.approx(graph.error(values), rel=1e-9)
     copied.resize(0)

@@ -28,8 +28,8 @@ def samples(setting: str) -> Iterator[Scene]:
     for k in range(len(part["truth"])):
         mine = part["sample"] == k
         poses, labels = (part[name][mine].astype(np.int64) for name in ("pose", "label"))
-        yield {"points": part["points"][mine], "poses": poses, "labels": labels, "truth": part["truth"][k],
-               "initial": part["init"][k]}  # fmt: skip
+        known = {"poses": poses, "labels": labels, "truth": part["truth"][k], "initial": part["init"][k]}
+        yield {"points": part["points"][mine], **known}
 
 
 def solve(scene: Scene) -> np.ndarray:

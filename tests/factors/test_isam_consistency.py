@@ -1,5 +1,6 @@
 """iSAM2: with `isam2_parameters` and `settle` as honest as a batch, far away too; outliers; covariances of its own."""
 
+from functools import partial
 from itertools import pairwise
 
 import gtsam
@@ -49,11 +50,9 @@ def plane_key(j: int) -> int:
 
 def drive() -> list[gtsam.Pose3]:
     """Once round a circle in a hall."""
-    turns = 2.0 * np.pi * np.arange(N_POSES) / N_POSES
-    return [
-        gtsam.Pose3(gtsam.Rot3.Yaw(a), np.array([RADIUS_M * np.sin(a), RADIUS_M * (1.0 - np.cos(a)), 1.0]))
-        for a in turns
-    ]
+    angles = 2.0 * np.pi * np.arange(N_POSES) / N_POSES
+    places = np.column_stack((RADIUS_M * np.sin(angles), RADIUS_M * (1.0 - np.cos(angles)), np.ones(N_POSES)))
+    return [gtsam.Pose3(gtsam.Rot3.Yaw(angle), place) for angle, place in zip(angles, places, strict=True)]
 
 
 def sees(pose: gtsam.Pose3, j: int) -> bool:
@@ -101,24 +100,17 @@ def scores(seed: int, parameters: gtsam.ISAM2Params | None) -> tuple[float, floa
     isam, graph, values, anchors, truth = estimated(seed, parameters)
     if isam is None:
         estimate = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-        marginals = gtsam.Marginals(graph, estimate)
-
-        def covariance(keys):
-            return joint_covariance(marginals, keys)
+        covariance = partial(joint_covariance, gtsam.Marginals(graph, estimate))
     else:
         estimate = isam.calculateEstimate()
-
-        def covariance(keys):
-            return isam_covariance(isam, estimate, keys)
-
+        covariance = partial(isam_covariance, isam, estimate)
     poses, planes = [], []
     for i in (N_POSES // 2, N_POSES - 1):
         error = estimate.atPose3(x(i)).localCoordinates(truth[i])
         poses.append(error @ np.linalg.solve(covariance([x(i)]), error))
     for j, anchor in anchors.items():
         landmark, pose = estimate.atOrientedPlane3(plane_key(j)), estimate.atPose3(anchor)
-        joint = covariance([anchor, plane_key(j)])
-        found = world_plane_from_joint(landmark, pose, joint, centre=WALLS[j][:3, 3])
+        found = world_plane_from_joint(landmark, pose, covariance([anchor, plane_key(j)]), centre=WALLS[j][:3, 3])
         true = np.linalg.inv(found.frame) @ WALLS[j]
         normal = true[:3, 2] / true[2, 2]
         error = np.array([normal @ true[:3, 3], normal[0], -normal[1]])
@@ -127,12 +119,12 @@ def scores(seed: int, parameters: gtsam.ISAM2Params | None) -> tuple[float, floa
 
 
 def test_isam2_on_planes_is_as_honest_as_a_batch_with_our_parameters_and_not_with_gtsams():
-    seeds = range(8)
-    batch = np.array([scores(seed, None) for seed in seeds])
-    ours = np.array([scores(seed, isam2_parameters()) for seed in seeds])
-    stock = np.array([scores(seed, gtsam.ISAM2Params()) for seed in seeds])
+    batch, ours, stock = (
+        np.array([scores(seed, parameters) for seed in range(8)])
+        for parameters in (None, isam2_parameters(), gtsam.ISAM2Params())
+    )
     np.testing.assert_allclose(ours, batch, rtol=0.02)
-    low, high = mean_nees_band(2 * len(seeds), 6)
+    low, high = mean_nees_band(2 * 8, 6)
     assert low < ours[:, 0].mean() < high
     assert stock[:, 0].mean() > high
 
@@ -155,29 +147,25 @@ def test_far_from_the_origin_the_answer_is_the_same():
 @pytest.mark.parametrize("form", ["anchored", "first"])
 def test_robust_kernels_in_isam2(robust, form):
     """One wrong match of 0.5 m among ten right ones: pulled in by less than a tenth of what it does unrobust."""
-    pulls = {}
+    right, shifted = Plane(WALLS[3], np.diag([0.01, 0.01, 0.01]) ** 2), WALLS[3].copy()
+    shifted[1, 3] += 0.5
+    pulls = []
     for kernel in (None, robust):
-        isam = gtsam.ISAM2(gtsam.ISAM2Params())
-        right = Plane(WALLS[3], np.diag([0.01, 0.01, 0.01]) ** 2)
-        shifted = WALLS[3].copy()
-        shifted[1, 3] += 0.5
-        wrong = Plane(shifted, right.covariance)
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        keys = {"anchor_key": x(0)}
-        other = x(1) if form == "anchored" else x(0)
+        isam, graph, values = gtsam.ISAM2(gtsam.ISAM2Params()), gtsam.NonlinearFactorGraph(), gtsam.Values()
         for key in (x(0), x(1)):
             graph.push_back(pose_prior(key, np.eye(4), 1e-8 * np.eye(6)))
             values.insert(key, gtsam.Pose3())
-        for plane in [right] * 10 + [wrong]:
-            graph.push_back(plane_factor(plane, other, plane_key(0), robust=kernel, **keys))
+        for plane in [right] * 10 + [Plane(shifted, right.covariance)]:
+            other = x(1) if form == "anchored" else x(0)
+            graph.push_back(plane_factor(plane, other, plane_key(0), anchor_key=x(0), robust=kernel))
         values.insert(plane_key(0), plane_landmark(right))
         isam.update(graph, values)
         for _ in range(20):
             isam.update()
         distance = isam.calculateBestEstimate().atOrientedPlane3(plane_key(0)).planeCoefficients()[3]
-        pulls[kernel is None] = abs(distance + right.d)
-    assert pulls[True] == pytest.approx(0.5 / 11, rel=0.05)
-    assert pulls[False] < 0.25 * pulls[True]
+        pulls.append(abs(distance + right.d))
+    assert pulls[0] == pytest.approx(0.5 / 11, rel=0.05)
+    assert pulls[1] < 0.25 * pulls[0]
 
 
 def test_settling_stops_when_nothing_moves():
@@ -216,8 +204,7 @@ def test_isam_covariance_is_that_of_a_batch_at_the_estimate(keys):
         isam, graph, estimate = run(normal)
         marginals = gtsam.Marginals(graph, estimate)
         batch = joint_covariance(marginals, list(keys))
-        scale = np.sqrt(np.diag(batch))
-        scale = np.outer(scale, scale)
+        scale = np.sqrt(np.outer(np.diag(batch), np.diag(batch)))
         np.testing.assert_allclose(isam_covariance(isam, estimate, keys) / scale, batch / scale, atol=0.05)
         turned += np.abs(isam.jointMarginalCovariance(list(keys)).fullMatrix() / scale - batch / scale).max() > 0.5
     assert turned >= 4  # or the bases never jumped, and the test says nothing

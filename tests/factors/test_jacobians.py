@@ -4,20 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import (
-    direction_prior,
-    distance_factor,
-    line_factor,
-    line_factor_2d,
-    odometry_factor,
-    odometry_factor_2d,
-    parallel_factor,
-    perpendicular_factor,
-    planar_motion_factor,
-    plane_factor,
-    plane_prior,
-    upright_prior,
-)
+import factors
 from tests.factors.factor_scenes import (
     TIED_NORMALS,
     A,
@@ -50,23 +37,18 @@ def scene(rng: np.random.Generator) -> gtsam.Values:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda rng, anchor: plane_factor(random_plane(rng), X, L, anchor_key=anchor),
-        lambda rng, anchor: line_factor(random_line(rng), random_pose(rng).matrix(), X, L, anchor_key=anchor),
-        lambda rng, anchor: direction_prior(L, rng.normal(size=3), 0.1, anchor_key=anchor),
-        lambda rng, anchor: upright_prior(L, 0.1, up=rng.normal(size=3), anchor_key=anchor),
+        lambda rng, anchor: factors.plane_factor(random_plane(rng), X, L, anchor_key=anchor),
+        lambda rng, anchor: factors.line_factor(random_line(rng), random_pose(rng).matrix(), X, L, anchor_key=anchor),
+        lambda rng, anchor: factors.direction_prior(L, rng.normal(size=3), 0.1, anchor_key=anchor),
+        lambda rng, anchor: factors.upright_prior(L, 0.1, up=rng.normal(size=3), anchor_key=anchor),
+        lambda rng, anchor: factors.plane_prior(random_plane(rng), L),
     ],
-    ids=["plane", "line", "direction", "upright"],
+    ids=["plane", "line", "direction", "upright", "prior"],
 )
 def test_factors_of_one_landmark(make, anchor):
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         assert_jacobian(make(rng, anchor), scene(rng))
-
-
-def test_plane_prior():
-    for seed in SEEDS:
-        rng = np.random.default_rng(seed)
-        assert_jacobian(plane_prior(random_plane(rng), L), scene(rng))
 
 
 @pytest.mark.parametrize("anchor", [A, None, X], ids=["anchored", "world", "own anchor"])
@@ -76,9 +58,9 @@ def test_factors_on_pose2(anchor):
         x, a = (gtsam.Pose2(*rng.normal(size=3)) for _ in range(2))
         values = values_of(l0=landmark(rng), l1=landmark(rng), x0=x, a0=a)
         for factor in (
-            line_factor_2d(random_line(rng), random_pose(rng).matrix(), X, L, anchor_key=anchor),
-            upright_prior(L, 0.1, up=rng.normal(size=3), anchor_key=anchor),
-            parallel_factor(L, L1, 0.1, anchor_a=anchor, anchor_b=A),
+            factors.line_factor_2d(random_line(rng), random_pose(rng).matrix(), X, L, anchor_key=anchor),
+            factors.upright_prior(L, 0.1, up=rng.normal(size=3), anchor_key=anchor),
+            factors.parallel_factor(L, L1, 0.1, anchor_a=anchor, anchor_b=A),
         ):
             assert_jacobian(factor, values)
 
@@ -89,10 +71,10 @@ def test_factors_of_two_landmarks(anchor_a, anchor_b):
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         values = scene(rng)
-        assert_jacobian(parallel_factor(L, L1, 0.1, **where), values)
-        assert_jacobian(perpendicular_factor(L, L1, 0.1, **where), values)
-        gap = distance_factor(L, L1, 1.5, 0.1, at=rng.normal(size=3), **where)
-        if perpendicular_factor(L, L1, 1e-3, **where).error(values) > 1.0:  # at right angles its sign jumps
+        assert_jacobian(factors.parallel_factor(L, L1, 0.1, **where), values)
+        assert_jacobian(factors.perpendicular_factor(L, L1, 0.1, **where), values)
+        gap = factors.distance_factor(L, L1, 1.5, 0.1, at=rng.normal(size=3), **where)
+        if factors.perpendicular_factor(L, L1, 1e-3, **where).error(values) > 1.0:  # at right angles its sign jumps
             assert_jacobian(gap, values)
 
 
@@ -102,9 +84,9 @@ def test_odometry_and_planar_motion():
         values, delta = scene(rng), rng.normal(size=3)
         near = values.atPose3(X1).compose(gtsam.Pose3(gtsam.Rot3.Yaw(delta[2]), np.array([*delta[:2], 0.0])))
         values.update(X, near.retract(0.1 * rng.normal(size=6)))
-        assert_jacobian(odometry_factor(X1, X, delta, np.diag([0.1, 0.2, 0.3]) ** 2), values)
-        motion = planar_motion_factor(X, height=0.3)
+        assert_jacobian(factors.odometry_factor(X1, X, delta, np.diag([0.1, 0.2, 0.3]) ** 2), values)
+        motion = factors.planar_motion_factor(X, height=0.3)
         for i in range(motion.size()):
             assert_jacobian(motion.at(i), values)
         flat = values_of(x0=gtsam.Pose2(*rng.normal(size=3)), x1=gtsam.Pose2(*rng.normal(size=3)))
-        assert_jacobian(odometry_factor_2d(X1, X, delta, np.diag([0.1, 0.2, 0.3]) ** 2), flat)
+        assert_jacobian(factors.odometry_factor_2d(X1, X, delta, np.diag([0.1, 0.2, 0.3]) ** 2), flat)

@@ -1,32 +1,13 @@
 """Landmarks: each lives in one frame; their covariance against what happens in repeated experiments."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 from shapely import box
 
-from factors import (
-    LineObservation,
-    change_anchor,
-    direction_prior,
-    distance_factor,
-    facing,
-    landmark_anchors,
-    landmark_to_plane,
-    line_factor,
-    line_factor_2d,
-    parallel_factor,
-    perpendicular_factor,
-    plane_factor,
-    plane_factors,
-    plane_landmark,
-    plane_prior,
-    pose_prior,
-    relative_pose_factor,
-    seen_plane,
-    upright_prior,
-    world_plane,
-)
+import factors
 from spplanes import Plane
 from tests.factors.factor_scenes import (
     A,
@@ -55,7 +36,7 @@ def nees(plane: Plane, true_frame: np.ndarray) -> float:
 
 
 def experiment(seed: int, *, anchored: bool):
-    """Two uncertain poses see one plane; the graph is solved and the plane read off in three frames."""
+    """Two uncertain poses see one plane, the graph is solved: NEES of the plane read off in three frames."""
     scene, rng = np.random.default_rng(100), np.random.default_rng([1, seed])
     true_a, true_x = random_pose(scene), random_pose(scene)
     frame = frame_of(np.array([0.0, 0.0, 1.0]), np.array([1.0, 2.0, -1.0]), 0.4)
@@ -73,30 +54,27 @@ def experiment(seed: int, *, anchored: bool):
 
     at_a, at_x, key = seen(true_a), seen(true_x), A if anchored else None
     prior, step = drawn(true_a, prior_covariance), drawn(true_a.between(true_x), step_covariance)
-    graph = plane_factors([at_a, at_x], [A, X], [L, L], [A, A] if anchored else None)
-    graph.push_back(pose_prior(A, prior, prior_covariance))
-    graph.push_back(relative_pose_factor(A, X, step, step_covariance))
-    landmark = plane_landmark(at_a) if anchored else plane_landmark(at_a, prior)
+    graph = factors.plane_factors([at_a, at_x], [A, X], [L, L], [A, A] if anchored else None)
+    graph.push_back(factors.pose_prior(A, prior, prior_covariance))
+    graph.push_back(factors.relative_pose_factor(A, X, step, step_covariance))
+    landmark = factors.plane_landmark(at_a) if anchored else factors.plane_landmark(at_a, prior)
     values = values_of(a0=gtsam.Pose3(prior), x0=gtsam.Pose3(prior @ step), l0=landmark)
     result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     marginals = gtsam.Marginals(graph, result)
-    in_world = world_plane(result, marginals, L, anchor_key=key, centre=frame[:3, 3], n_points=7)
-    centre_x = true_x.transformTo(frame[:3, 3])
-    in_x = seen_plane(result, marginals, L, X, anchor_key=key, centre=centre_x)
-    in_a = seen_plane(result, marginals, L, A, anchor_key=key, centre=true_a.transformTo(frame[:3, 3]))
-    return in_world, (in_x, true_x.inverse().matrix() @ frame), (in_a, true_a.inverse().matrix() @ frame), frame
+    in_world = factors.world_plane(result, marginals, L, anchor_key=key, centre=frame[:3, 3], n_points=7)
+    assert in_world.n_points == 7
+    pairs = [(in_world, frame)]
+    for pose, pose_key in ((true_x, X), (true_a, A)):
+        local = pose.inverse().matrix() @ frame
+        found = factors.seen_plane(result, marginals, L, pose_key, anchor_key=key, centre=local[:3, 3])
+        pairs.append((found, local))
+    return [nees(plane, truth) for plane, truth in pairs]
 
 
 @pytest.mark.parametrize("anchored", [True, False])
 def test_covariances_out_of_a_solution_are_honest(anchored):
     """World, observer's frame and anchor's frame: NEES of 3 in each."""
-    sums: list[list[float]] = [[], [], []]
-    for seed in range(RUNS):
-        in_world, (in_x, true_x), (in_a, true_a), frame = experiment(seed, anchored=anchored)
-        assert in_world.n_points == 7
-        for sample, (plane, truth) in zip(sums, ((in_world, frame), (in_x, true_x), (in_a, true_a)), strict=True):
-            sample.append(nees(plane, truth))
-    for sample in sums:
+    for sample in np.transpose([experiment(seed, anchored=anchored) for seed in range(RUNS)]):
         assert_mean_in_band(sample, 3, 0.999)
 
 
@@ -104,28 +82,36 @@ def test_change_of_anchor_moves_nothing_in_the_world():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         plane, pose, old, new = random_plane(rng), random_pose(rng), random_pose(rng), random_pose(rng)
-        landmark = plane_landmark(plane).transform(pose.between(old))
-        moved = change_anchor(landmark, old, new.matrix())
+        landmark = factors.plane_landmark(plane).transform(pose.between(old))
+        moved = factors.change_anchor(landmark, old, new.matrix())
         back = moved.transform(new.between(pose))
-        np.testing.assert_allclose(back.planeCoefficients(), plane_landmark(plane).planeCoefficients(), atol=1e-12)
+        np.testing.assert_allclose(
+            back.planeCoefficients(), factors.plane_landmark(plane).planeCoefficients(), atol=1e-12
+        )
 
 
 def test_a_landmark_of_a_planar_graph_is_that_of_the_same_graph_in_space():
     """All that a Pose2 cannot do a Pose3 is kept from by a micrometre and a microradian."""
     found, rng = [], np.random.default_rng(4)
     line, x, a = make_line(0.2, 3.0, np.diag([1e-6, 1e-4])), *(gtsam.Pose2(*rng.normal(size=3)) for _ in range(2))
-    for kind, free, build in ((gtsam.Pose2, slice(3), line_factor_2d), (gtsam.Pose3, [3, 4, 2], line_factor)):
+    for kind, free, build in (
+        (gtsam.Pose2, slice(3), factors.line_factor_2d),
+        (gtsam.Pose3, [3, 4, 2], factors.line_factor),
+    ):
         sigmas = np.full(3 if kind is gtsam.Pose2 else 6, 1e-6)
         sigmas[free] = 0.1, 0.2, 0.03
         noise, values = gtsam.noiseModel.Diagonal.Sigmas(sigmas), values_of(x0=kind(x), a0=kind(a))
         prior = gtsam.PriorFactorPose2 if kind is gtsam.Pose2 else gtsam.PriorFactorPose3
-        seen = plane_landmark(LineObservation(line, np.eye(4)).full_plane(0.1), gtsam.Pose3(x))
+        seen = factors.plane_landmark(factors.LineObservation(line, np.eye(4)).full_plane(0.1), gtsam.Pose3(x))
         values.insert(L, seen.transform(gtsam.Pose3(a)))
-        factors = prior(X, kind(x), noise), prior(A, kind(a), noise), build(line, np.eye(4), X, L, anchor_key=A)
-        graph = graph_of(*factors, upright_prior(L, 0.01, anchor_key=A))
+        priors = prior(X, kind(x), noise), prior(A, kind(a), noise), factors.upright_prior(L, 0.01, anchor_key=A)
+        graph = graph_of(*priors, build(line, np.eye(4), X, L, anchor_key=A))
         marginals = gtsam.Marginals(graph, values)
         found.append(
-            (world_plane(values, marginals, L, anchor_key=A), seen_plane(values, marginals, L, X, anchor_key=A))
+            (
+                factors.world_plane(values, marginals, L, anchor_key=A),
+                factors.seen_plane(values, marginals, L, X, anchor_key=A),
+            )
         )
     for flat, spatial in zip(*found, strict=True):
         np.testing.assert_allclose(flat.frame, spatial.frame, atol=1e-12)
@@ -136,34 +122,29 @@ def test_facing_turns_the_plane_and_its_covariance():
     """The same half-space from behind: the error of a reversed landmark against the reversed plane is the same."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        plane = random_plane(rng)
-        plane = Plane(plane.frame, plane.covariance, 5, box(0.0, 0.0, 2.0, 1.0))
+        plane = replace(random_plane(rng), n_points=5, outline=box(0.0, 0.0, 2.0, 1.0))
         behind = plane.centre - 2.0 * plane.normal
-        assert facing(plane, plane.centre + plane.normal) is plane
-        turned = facing(plane, behind)
+        assert factors.facing(plane, plane.centre + plane.normal) is plane
+        turned = factors.facing(plane, behind)
         np.testing.assert_allclose(turned.normal, -plane.normal)
         assert turned.d == pytest.approx(-plane.d)
         assert turned.n_points == 5
-        here = corners(plane)
-        there = corners(turned)
-        assert all(np.linalg.norm(here - corner, axis=1).min() < 1e-12 for corner in there)
-        landmark = plane_landmark(plane).retract(1e-3 * rng.normal(size=3))
+        assert all(np.linalg.norm(corners(plane) - corner, axis=1).min() < 1e-12 for corner in corners(turned))
+        landmark = factors.plane_landmark(plane).retract(1e-3 * rng.normal(size=3))
         reverse = gtsam.OrientedPlane3(-landmark.planeCoefficients())
-        before = plane_prior(plane, L).error(values_of(l0=landmark))
-        assert plane_prior(turned, L).error(values_of(l0=reverse)) == pytest.approx(before, rel=1e-9)
+        before = factors.plane_prior(plane, L).error(values_of(l0=landmark))
+        assert factors.plane_prior(turned, L).error(values_of(l0=reverse)) == pytest.approx(before, rel=1e-9)
 
 
 def corners(plane: Plane) -> np.ndarray:
-    assert plane.outline is not None
     return np.array([(plane.frame @ [x, y, 0.0, 1.0])[:3] for x, y in plane.outline.exterior.coords])
 
 
 def test_centre_is_dropped_onto_the_plane():
-    plane = landmark_to_plane(gtsam.OrientedPlane3(0.0, 0.0, 1.0, -2.0), np.eye(3), centre=(3.0, 4.0, 9.0))
+    plane = factors.landmark_to_plane(gtsam.OrientedPlane3(0.0, 0.0, 1.0, -2.0), np.eye(3), centre=(3.0, 4.0, 9.0))
     np.testing.assert_allclose(plane.centre, [3.0, 4.0, 2.0])
-    np.testing.assert_allclose(
-        landmark_to_plane(gtsam.OrientedPlane3(0.0, 0.0, 1.0, -2.0), np.eye(3)).centre, [0, 0, 2]
-    )
+    without = factors.landmark_to_plane(gtsam.OrientedPlane3(0.0, 0.0, 1.0, -2.0), np.eye(3))
+    np.testing.assert_allclose(without.centre, [0, 0, 2])
 
 
 PLANE = random_plane(np.random.default_rng(0))
@@ -179,38 +160,38 @@ def graph_of(*factors):
 
 def test_anchors_of_a_graph():
     graph = graph_of(
-        plane_factor(PLANE, X, L, anchor_key=A),
-        plane_factor(PLANE, A, L, anchor_key=A),
-        upright_prior(L, 0.1, anchor_key=A),
-        plane_factor(PLANE, X, OTHER),
-        plane_prior(PLANE, OTHER),
-        parallel_factor(L, OTHER, 0.1, anchor_a=A),
+        factors.plane_factor(PLANE, X, L, anchor_key=A),
+        factors.plane_factor(PLANE, A, L, anchor_key=A),
+        factors.upright_prior(L, 0.1, anchor_key=A),
+        factors.plane_factor(PLANE, X, OTHER),
+        factors.plane_prior(PLANE, OTHER),
+        factors.parallel_factor(L, OTHER, 0.1, anchor_a=A),
     )
     graph.resize(8)
-    assert landmark_anchors(graph) == {L: A, OTHER: None}
+    assert factors.landmark_anchors(graph) == {L: A, OTHER: None}
 
 
 @pytest.mark.parametrize(
     ("forgetful", "told"),
     [
-        (direction_prior(L, (0.0, 0.0, 1.0), 0.1), "the world"),
-        (direction_prior(L, (0.0, 0.0, 1.0), 0.1, robust="huber"), "the world"),
-        (upright_prior(L, 0.1), "the world"),
-        (parallel_factor(L, OTHER, 0.1, anchor_a=X), "x0"),
-        (perpendicular_factor(OTHER, L, 0.1), "the world"),
-        (distance_factor(L, OTHER, 1.0, 0.1, anchor_b=A), "the world"),
+        (factors.direction_prior(L, (0.0, 0.0, 1.0), 0.1), "the world"),
+        (factors.direction_prior(L, (0.0, 0.0, 1.0), 0.1, robust="huber"), "the world"),
+        (factors.upright_prior(L, 0.1), "the world"),
+        (factors.parallel_factor(L, OTHER, 0.1, anchor_a=X), "x0"),
+        (factors.perpendicular_factor(OTHER, L, 0.1), "the world"),
+        (factors.distance_factor(L, OTHER, 1.0, 0.1, anchor_b=A), "the world"),
     ],
 )
 def test_what_is_known_of_a_plane_without_its_anchor_is_refused(forgetful, told):
     with pytest.raises(ValueError, match=f"expected one anchor .* got two for l0: a0 and {told}"):
-        landmark_anchors(graph_of(plane_factor(PLANE, X, L, anchor_key=A), forgetful))
+        factors.landmark_anchors(graph_of(factors.plane_factor(PLANE, X, L, anchor_key=A), forgetful))
 
 
 @pytest.mark.parametrize(("anchor", "told"), [(None, "the world"), (X, "x0")])
 def test_two_frames_for_one_landmark_are_refused(anchor, told):
-    other = plane_factor(PLANE, gtsam.symbol("x", 7), OTHER, anchor_key=anchor)
-    graph = graph_of(plane_factor(PLANE, X, OTHER, anchor_key=A), other)
+    other = factors.plane_factor(PLANE, gtsam.symbol("x", 7), OTHER, anchor_key=anchor)
+    graph = graph_of(factors.plane_factor(PLANE, X, OTHER, anchor_key=A), other)
     with pytest.raises(ValueError, match=f"graph: expected one anchor .* got two for l12: a0 and {told}"):
-        landmark_anchors(graph)
+        factors.landmark_anchors(graph)
     with pytest.raises(ValueError, match=f"anchor_keys: expected one anchor .* got two for l12: a0 and {told}"):
-        plane_factors([PLANE, PLANE], [X, gtsam.symbol("x", 7)], [OTHER, OTHER], [A, anchor])
+        factors.plane_factors([PLANE, PLANE], [X, gtsam.symbol("x", 7)], [OTHER, OTHER], [A, anchor])

@@ -35,8 +35,7 @@ def normals() -> np.ndarray:
 
 def measured_planes(rng: np.random.Generator, true_frame: np.ndarray) -> tuple[list[Plane], float]:
     """Measurements of one plane: their perturbation to the truth is drawn from the covariance they carry; mean chi2."""
-    ratio = 50.0 ** rng.random()
-    sigmas = np.array([0.005, np.radians(1.0) / ratio, np.radians(1.0)])
+    sigmas = np.array([0.005, np.radians(1.0) / 50.0 ** rng.random(), np.radians(1.0)])
     if rng.random() < 0.5:
         sigmas = sigmas[[0, 2, 1]]
     covariance = random_covariance(rng, sigmas)
@@ -73,11 +72,16 @@ def test_plane_factor_at_every_normal(form: str, each: float, mean: float):
     assert ratios.mean() == pytest.approx(1.0, abs=mean)
 
 
-def true_line(plane: gtsam.OrientedPlane3, world_T_sensor: gtsam.Pose3) -> tuple[float, float]:
-    """(alpha, rho) of the line in which a world plane cuts the scan plane."""
+def wall_cut(rng: np.random.Generator, body_T_sensor: gtsam.Pose3, tilts_deg: tuple, distances_m: tuple):
+    """A pose, an anchor, a wall in the world, and (alpha, rho) of the line in which it cuts the scan plane."""
+    pose, anchor = random_pose(rng), random_pose(rng)
+    in_plane, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(*tilts_deg))
+    normal = [np.cos(tilt) * np.cos(in_plane), np.cos(tilt) * np.sin(in_plane), np.sin(tilt)]
+    world_T_sensor = pose.compose(body_T_sensor)
+    plane = gtsam.OrientedPlane3(np.array([*normal, -rng.uniform(*distances_m)])).transform(world_T_sensor.inverse())
     a, b, _, minus_d = plane.transform(world_T_sensor).planeCoefficients()
     alpha, rho = np.arctan2(b, a), -minus_d / np.hypot(a, b)
-    return (alpha, rho) if rho >= 0.0 else (alpha + np.pi, -rho)
+    return pose, anchor, plane, (alpha, rho) if rho >= 0.0 else (alpha + np.pi, -rho)
 
 
 MOUNTS = {
@@ -91,22 +95,15 @@ MOUNTS = {
 @pytest.mark.parametrize("mount", MOUNTS)
 def test_line_factor_on_walls_of_every_tilt(mount, anchored):
     """Planes at 15 to 90 degrees to the scan plane; alpha and rho correlated."""
-    ratios = []
-    body_T_sensor = MOUNTS[mount]
+    ratios, body_T_sensor = [], MOUNTS[mount]
     for i in range(40):
         rng = np.random.default_rng([9, i])
-        pose, anchor = random_pose(rng), random_pose(rng)
-        in_plane, tilt = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, 75))
-        normal = [np.cos(tilt) * np.cos(in_plane), np.cos(tilt) * np.sin(in_plane), np.sin(tilt)]
-        world_T_sensor = pose.compose(body_T_sensor)
-        plane = gtsam.OrientedPlane3(np.array([*normal, -rng.uniform(1, 5)])).transform(world_T_sensor.inverse())
-        alpha, rho = true_line(plane, world_T_sensor)
+        pose, anchor, plane, (alpha, rho) = wall_cut(rng, body_T_sensor, (0, 75), (1, 5))
         r = rng.uniform(-0.9, 0.9) * np.radians(0.5) * 0.01
         covariance = np.array([[np.radians(0.5) ** 2, r], [r, 0.01**2]])
         drawn = rng.normal(size=(SAMPLES, 2))
-        noise = drawn @ np.linalg.cholesky(covariance).T
         graph, key = gtsam.NonlinearFactorGraph(), A if anchored else None
-        for da, dr in noise:
+        for da, dr in drawn @ np.linalg.cholesky(covariance).T:
             line = make_line(alpha + da, rho + dr, covariance)
             graph.push_back(line_factor(line, body_T_sensor.matrix(), X, L, anchor_key=key))
         values = values_of(x0=pose, a0=anchor, l0=plane.transform(anchor) if anchored else plane)
@@ -121,12 +118,8 @@ def test_native_line_factor_is_the_compiled_one_where_the_tilt_is_known(mount):
     body_T_sensor = MOUNTS[mount]
     for i in range(100):
         rng = np.random.default_rng([13, i])
-        pose, anchor = random_pose(rng), random_pose(rng)
-        tilt, in_plane = np.radians(rng.uniform(-75, 75)), rng.uniform(0, 2 * np.pi)
-        normal = [np.cos(tilt) * np.cos(in_plane), np.cos(tilt) * np.sin(in_plane), np.sin(tilt)]
-        world_T_sensor = pose.compose(body_T_sensor)
-        plane = gtsam.OrientedPlane3(np.array([*normal, -rng.uniform(0.0, 5)])).transform(world_T_sensor.inverse())
-        line = make_line(*true_line(plane, world_T_sensor), random_covariance(rng, np.array([0.01, 0.02])))
+        pose, anchor, plane, polar = wall_cut(rng, body_T_sensor, (-75, 75), (0, 5))
+        line = make_line(*polar, random_covariance(rng, np.array([0.01, 0.02])))
         keys = (line, body_T_sensor.matrix(), X, L)
         native = line_factor(*keys, anchor_key=A, expected=plane.transform(pose))
         compiled = line_factor(*keys, anchor_key=A)
@@ -172,9 +165,7 @@ def test_second_order_of_far_patches_is_corrected(tilt_deg):
     assert low < nis(graph, values) < high
     for key in (X, A):
         graph.addPriorPose3(key, gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e-9))
-    a, b, c, minus_d = (
-        gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atOrientedPlane3(L).planeCoefficients()
-    )
-    shift = -minus_d - np.array([a, b, c]) @ frame[:3, 3]
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atOrientedPlane3(L).planeCoefficients()
+    shift = -found[3] - found[:3] @ frame[:3, 3]
     z_sigma = np.hypot(0.005, 8.0 * np.radians(tilt_deg) ** 2)
     assert abs(shift) < 4.0 * z_sigma / np.sqrt(n), shift
