@@ -66,9 +66,7 @@ class Messages:
 
     def tf(self, parent: str, child: str, transform: FloatArray, stamp_ns: int = 0) -> Any:
         inside = self.make(
-            "geometry_msgs/msg/Transform",
-            translation=self._xyz("Vector3", transform),
-            rotation=self._turn(transform),
+            "geometry_msgs/msg/Transform", translation=self._xyz("Vector3", transform), rotation=self._turn(transform)
         )
         one = self.make(
             "geometry_msgs/msg/TransformStamped",
@@ -97,13 +95,7 @@ class Messages:
         )
 
     def cloud(
-        self,
-        stamp_ns: int,
-        points: FloatArray,
-        frame: str = "lidar",
-        *,
-        layout: str = "plain",
-        **other: Any,
+        self, stamp_ns: int, points: FloatArray, frame: str = "lidar", *, layout: str = "plain", **other: Any
     ) -> Any:
         """`layout`: plain, shuffled (fields in another order, room between), padded (rows), big (endian), double."""
         grid = points if points.ndim == 3 else points[None]

@@ -170,10 +170,7 @@ ENTRY, KEY = MapPlane(0, PLANE, PLANE.outline, 3, ("plane",)), gtsam.symbol("p",
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (
-            lambda: map_prior([PLANE], [KEY], np.zeros((3, 3))),
-            "expected a positive definite covariance",
-        ),
+        (lambda: map_prior([PLANE], [KEY], np.zeros((3, 3))), "expected a positive definite covariance"),
         (lambda: map_prior([PLANE], [], np.eye(3)), "planes: expected as many as plane_keys"),
         (lambda: map_prior([PLANE], [KEY], np.eye(6)), r"covariance: expected shape \(3, 3\)"),
         (lambda: PriorMap([], np.empty((0, 0)), np.eye(4), np.eye(6)), "planes: expected at least one plane, got none"),
