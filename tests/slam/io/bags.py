@@ -18,8 +18,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from spplanes._check import FloatArray
 
-TF = "tf2_msgs/msg/TFMessage"
+TF = "tf2_msgs/TFMessage"
 SECOND = 1_000_000_000
+
+
+def _full(kind: str) -> str:
+    return kind.replace("/", "/msg/")
 
 
 class Messages:
@@ -28,71 +32,48 @@ class Messages:
     def __init__(self, ros1: bool) -> None:
         self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
         if ros1:
-            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _full(TF)))
         self.types, self.ros1 = self.store.types, ros1
 
     def make(self, kind: str, **values: Any) -> Any:
-        return self.types[kind](**values)
+        return self.types[_full(kind)](**values)
 
     def header(self, stamp_ns: int, frame: str) -> Any:
         seconds, rest = divmod(stamp_ns, SECOND)
-        stamp = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
-        more = {"seq": 0} if self.ros1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **more)
+        stamp = self.make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
+        return self.make("std_msgs/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self.ros1 else {}))
 
     def _turn(self, transform: FloatArray) -> Any:
         from scipy.spatial.transform import Rotation
 
         x, y, z, w = Rotation.from_matrix(transform[:3, :3]).as_quat().tolist()
-        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def _xyz(self, kind: str, transform: FloatArray) -> Any:
         x, y, z = transform[:3, 3].tolist()
-        return self.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+        return self.make(f"geometry_msgs/{kind}", x=x, y=y, z=z)
 
     def odometry(self, stamp_ns: int, odom_T_body: FloatArray, child: str = "base_link") -> Any:
-        pose_ = self.make(
-            "geometry_msgs/msg/Pose", position=self._xyz("Point", odom_T_body), orientation=self._turn(odom_T_body)
-        )
-        zero = self._xyz("Vector3", np.eye(4))
-        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
-        return self.make(
-            "nav_msgs/msg/Odometry",
-            header=self.header(stamp_ns, "odom"),
-            child_frame_id=child,
-            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose_, covariance=np.zeros(36)),
-            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-        )
+        position, zero = self._xyz("Point", odom_T_body), self._xyz("Vector3", np.eye(4))
+        pose = self.make("geometry_msgs/Pose", position=position, orientation=self._turn(odom_T_body))
+        twist = self.make("geometry_msgs/Twist", linear=zero, angular=zero)
+        pose = self.make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+        twist = self.make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+        header = self.header(stamp_ns, "odom")
+        return self.make("nav_msgs/Odometry", header=header, child_frame_id=child, pose=pose, twist=twist)
 
     def tf(self, parent: str, child: str, transform: FloatArray, stamp_ns: int = 0) -> Any:
-        inside = self.make(
-            "geometry_msgs/msg/Transform", translation=self._xyz("Vector3", transform), rotation=self._turn(transform)
-        )
-        one = self.make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self.header(stamp_ns, parent),
-            child_frame_id=child,
-            transform=inside,
-        )
+        shift, header = self._xyz("Vector3", transform), self.header(stamp_ns, parent)
+        inside = self.make("geometry_msgs/Transform", translation=shift, rotation=self._turn(transform))
+        one = self.make("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=inside)
         return self.make(TF, transforms=[one])
 
     def scan(self, stamp_ns: int, ranges: FloatArray, frame: str = "laser", **other: float) -> Any:
-        values = {
-            "angle_min": -1.5,
-            "angle_max": 1.5,
-            "angle_increment": 3.0 / (len(ranges) - 1),
-            "time_increment": 1e-4,
-            "scan_time": 0.1,
-            "range_min": 0.1,
-            "range_max": 20.0,
-        }
-        return self.make(
-            "sensor_msgs/msg/LaserScan",
-            header=self.header(stamp_ns, frame),
-            ranges=ranges.astype(np.float32),
-            intensities=np.empty(0, np.float32),
-            **{**values, **other},
-        )
+        angles = {"angle_min": -1.5, "angle_max": 1.5, "angle_increment": 3.0 / (len(ranges) - 1)}
+        limits = {"time_increment": 1e-4, "scan_time": 0.1, "range_min": 0.1, "range_max": 20.0}
+        seen = {"ranges": ranges.astype(np.float32), "intensities": np.empty(0, np.float32)}
+        header = self.header(stamp_ns, frame)
+        return self.make("sensor_msgs/LaserScan", header=header, **{**angles, **limits, **seen, **other})
 
     def cloud(
         self, stamp_ns: int, points: FloatArray, frame: str = "lidar", *, layout: str = "plain", **other: Any
@@ -109,33 +90,19 @@ class Messages:
         formats = [float_ if name in "xyz" else "<u2" for name in names]
         dtype = np.dtype({"names": names, "formats": formats, "offsets": list(places.values()), "itemsize": step})
         padding = 24 if layout == "padded" else 0
-        rows = []
-        for row in grid:
-            table = np.zeros(len(row), dtype=dtype)
-            for k, axis in enumerate("xyz"):
-                table[axis] = row[:, k]
-            rows.append(table.tobytes() + bytes(padding))
+        table = np.zeros(grid.shape[:2], dtype=dtype)
+        for k, axis in enumerate("xyz"):
+            table[axis] = grid[..., k]
+        data = np.frombuffer(b"".join(row.tobytes() + bytes(padding) for row in table), dtype=np.uint8)
+        types = {name: (8 if size == 8 else 7) if name in "xyz" else 4 for name in places}
         fields = [
-            self.make(
-                "sensor_msgs/msg/PointField",
-                name=name,
-                offset=place,
-                datatype=(8 if size == 8 else 7) if name in "xyz" else 4,
-                count=1,
-            )
+            self.make("sensor_msgs/PointField", name=name, offset=place, datatype=types[name], count=1)
             for name, place in places.items()
         ]
-        values = {
-            "height": grid.shape[0],
-            "width": grid.shape[1],
-            "fields": fields,
-            "is_bigendian": layout == "big",
-            "point_step": step,
-            "row_step": step * grid.shape[1] + padding,
-            "data": np.frombuffer(b"".join(rows), dtype=np.uint8),
-            "is_dense": False,
-        }
-        return self.make("sensor_msgs/msg/PointCloud2", header=self.header(stamp_ns, frame), **{**values, **other})
+        rows, columns = table.shape
+        sizes = {"height": rows, "width": columns, "point_step": step, "row_step": step * columns + padding}
+        values = {"fields": fields, "is_bigendian": layout == "big", "data": data, "is_dense": False}
+        return self.make("sensor_msgs/PointCloud2", header=self.header(stamp_ns, frame), **{**sizes, **values, **other})
 
 
 def write(folder: Path, kind: str, make: Any) -> Path:

@@ -63,16 +63,18 @@ def test_bearings_of_a_sick(tmp_path, n, first, last):
     np.testing.assert_allclose(angles, np.linspace(first, last, n), atol=1e-9)
 
 
-def test_no_returns(tmp_path):
-    ranges = "nan inf 0 -1 7.94 7.95 8.19 1.0"
-    scan = read_carmen(write(tmp_path, flaser(1.0, ranges=ranges))).scans()[0]  # 8 m mode: 8.19 is an error code
-    np.testing.assert_array_equal(scan.ranges, [np.nan] * 4 + [7.94, np.nan, np.nan, 1.0])
-    far = read_carmen(write(tmp_path, flaser(1.0, ranges="39.9 40.0 81.83"))).scans()[0]
-    np.testing.assert_array_equal(far.ranges, [39.9, np.nan, np.nan])
-    plain = read_carmen(write(tmp_path, flaser(1.0, ranges="39.9 45.0 50.0"))).scans()[0]
-    np.testing.assert_array_equal(plain.ranges, [39.9, 45.0, 50.0])
-    stated = read_carmen(write(tmp_path, robotlaser(1.0, ranges="4.9 5.0", far=5.0))).scans()[0]
-    np.testing.assert_array_equal(stated.ranges, [4.9, np.nan])
+@pytest.mark.parametrize(
+    ("line", "ranges"),
+    [
+        (flaser(1.0, ranges="nan inf 0 -1 7.94 7.95 8.19 1.0"), [np.nan] * 4 + [7.94, np.nan, np.nan, 1.0]),  # of 8 m
+        (flaser(1.0, ranges="39.9 40.0 81.83"), [39.9, np.nan, np.nan]),
+        (flaser(1.0, ranges="39.9 45.0 50.0"), [39.9, 45.0, 50.0]),
+        (robotlaser(1.0, ranges="4.9 5.0", far=5.0), [4.9, np.nan]),
+    ],
+)
+def test_no_returns(tmp_path, line, ranges):
+    """In the mode of 8 m 8.19 is an error code."""
+    np.testing.assert_array_equal(read_carmen(write(tmp_path, line)).scans()[0].ranges, ranges)
 
 
 def test_robotlaser_states_its_bearings_and_poses(tmp_path):
@@ -139,11 +141,10 @@ def test_the_reading_that_means_none_is_found_whatever_the_laser(tmp_path, none:
     rng = np.random.default_rng(2)
     seen = [f"{r:.2f}" for r in rng.uniform(2.0, 7.5, 40)]
     lines = [flaser(float(t), ranges=f"{r} {none} 0.0") for t, r in enumerate(seen)]
-    for scan, written in zip(read_carmen(write(tmp_path, *lines)).scans(), seen, strict=True):
-        np.testing.assert_array_equal(scan.ranges, [float(written), np.nan, np.nan])
     alone = [flaser(float(t), ranges=f"{r} 1.5") for t, r in enumerate(seen)]
-    for scan, written in zip(read_carmen(write(tmp_path, *alone)).scans(), seen, strict=True):
-        np.testing.assert_array_equal(scan.ranges, [float(written), 1.5])
+    for log, rest in ((lines, [np.nan, np.nan]), (alone, [1.5])):
+        for scan, written in zip(read_carmen(write(tmp_path, *log)).scans(), seen, strict=True):
+            np.testing.assert_array_equal(scan.ranges, [float(written), *rest])
 
 
 def test_clocks(tmp_path):
@@ -181,19 +182,14 @@ def test_bad_logs_name_file_and_line(tmp_path, lines, sentence):
     assert "\n" not in str(caught.value)
 
 
-def long_log(tmp_path):
+def test_gzip_cut_in_the_middle(tmp_path):
     rng = np.random.default_rng(0)
     lines = [flaser(float(t), ranges=" ".join(map(str, rng.uniform(1, 5, 50).round(3)))) for t in range(400)]
-    return write(tmp_path, *lines, name="cut.clf.gz")
-
-
-def test_gzip_cut_in_the_middle(tmp_path):
-    path = long_log(tmp_path)
+    path = write(tmp_path, *lines, name="cut.clf.gz")
     whole = read_carmen(path)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(
-        LogError, match=r"cut\.clf\.gz:\d+: the gzip stream breaks off here.*; --keep-partial uses what comes before"
-    ):
+    message = r"cut\.clf\.gz:\d+: the gzip stream breaks off here.*; --keep-partial uses what comes before"
+    with pytest.raises(LogError, match=message):
         read_carmen(path)
     part = read_carmen(path, keep_partial=True)
     assert 100 < len(part.scans()) < 300
@@ -215,12 +211,8 @@ def test_plain_log_cut_in_a_line(tmp_path):
 def test_what_is_written_reads_back_bit_for_bit(tmp_path):
     rng = np.random.default_rng(1)
     mount = Mount(xyz_m=(0.2, 0.1, 0.5), rpy_deg=(0.0, 0.0, 30.0))
-    rig = Rig(
-        sensors={
-            "a": Sensor(kind="line", record="ROBOTLASER1", body_T_sensor=mount, range_sigma_m=0.01, range_max_m=30.0)
-        }
-    )
-    events = []
+    sensor = Sensor(kind="line", record="ROBOTLASER1", body_T_sensor=mount, range_sigma_m=0.01, range_max_m=30.0)
+    rig, events = Rig(sensors={"a": sensor}), []
     for k in range(20):
         stamp, pose = 10**18 + k * 123_456_789, planar_transform(*rng.standard_normal(3))
         ranges = np.where(rng.uniform(size=37) < 0.1, np.nan, rng.uniform(0.1, 29.0, 37))
@@ -271,14 +263,11 @@ def test_ranges_of_a_long_log_wait_on_the_disk(tmp_path, monkeypatch):
     monkeypatch.setattr(lazy, "_IN_MEMORY_BYTES", 100)
     log = read_carmen(path)
     for before, scan in zip(in_memory, log.scans(), strict=True):
-        assert isinstance(scan, LaserScan) and not any(isinstance(one, np.ndarray) for one in own_values(scan))
+        own = [value for name, value in vars(scan).items() if name != "angles"]
+        assert isinstance(scan, LaserScan) and not any(isinstance(one, np.ndarray) for one in own)
         np.testing.assert_array_equal(scan.ranges, before.ranges)
         assert scan.angles is log.scans()[0].angles
     assert encode(log.scans()[3]) == encode(log.scans()[3].loaded())
-
-
-def own_values(scan):
-    return [value for name, value in vars(scan).items() if name != "angles"]
 
 
 def test_no_room_for_the_scans_of_a_long_log_is_one_sentence(tmp_path, monkeypatch):

@@ -90,12 +90,13 @@ def test_times_in_names(names: tuple[str, ...], stamps: tuple[int, ...], tmp_pat
 def test_times_beside(folder: Path):
     (folder / "times.txt").write_text("0.0\n0.103\n0.206\n3.09e-01\n")
     assert [scan.stamp_ns for scan in folder_read(folder).scans()] == [0, 103_000_000, 206_000_000, 309_000_000]
-    (folder / "times.txt").write_text("0.0\n0.1\n")
-    with pytest.raises(LogError, match=r"times\.txt: expected 4 times, one for each cloud, got 2"):
-        folder_read(folder)
-    (folder / "times.txt").write_text("0.0\n0.2\n0.1\n0.3\n")
-    with pytest.raises(LogError, match="expected times of the clouds that ascend"):
-        folder_read(folder)
+    for times, message in (
+        ("0.0\n0.1\n", r"times\.txt: expected 4 times, one for each cloud, got 2"),
+        ("0.0\n0.2\n0.1\n0.3\n", "expected times of the clouds that ascend"),
+    ):
+        (folder / "times.txt").write_text(times)
+        with pytest.raises(LogError, match=message):
+            folder_read(folder)
 
 
 def poses_of(log) -> FloatArray:
@@ -191,12 +192,8 @@ def test_the_room_comes_out(command: str, folder: Path, capsys: pytest.CaptureFi
     code, _, err = run(capsys, command, folder, "--out", folder.parent / "run")
     assert code == 0, err
     walls = walls_of(folder.parent / "run")
-    for axis in range(3):
-        for side in (1.0, -1.0):
-            normal = np.eye(3)[axis] * -side
-            found = [d for n, d in walls if n @ normal > 0.9999]
-            assert len(found) == 1
-            assert found[0] == pytest.approx(-ROOM[axis], abs=0.01)
+    for normal in (*np.eye(3), *-np.eye(3)):
+        assert [d for n, d in walls if n @ normal > 0.9999] == [pytest.approx(-ROOM @ np.abs(normal), abs=0.01)]
 
 
 @pytest.mark.parametrize("order", ["by row", "by column", "shuffled"])
@@ -239,12 +236,9 @@ def test_poses_of_the_files_themselves_are_the_sensors(tmp_path: Path):
     from tests.slam.io.test_clouds import pcd
 
     for k in range(2):
-        data = pcd().replace(b"VIEWPOINT 0 0 0", f"VIEWPOINT {k} 0 1".encode())
-        (tmp_path / f"{k}.pcd").write_bytes(data)
-    mounted = (
-        "sensors:\n  top: {kind: cloud, body_T_sensor: {xyz_m: [0, 0, 1]}, range_sigma_m: 0.01, range_max_m: 50}\n"
-    )
-    (tmp_path / "rig.yaml").write_text(mounted)
+        (tmp_path / f"{k}.pcd").write_bytes(pcd().replace(b"VIEWPOINT 0 0 0", f"VIEWPOINT {k} 0 1".encode()))
+    mounted = "{kind: cloud, body_T_sensor: {xyz_m: [0, 0, 1]}, range_sigma_m: 0.01, range_max_m: 50}"
+    (tmp_path / "rig.yaml").write_text(f"sensors:\n  top: {mounted}\n")
     log, _ = load(tmp_path)
     np.testing.assert_allclose(poses_of(log), [pose(0.0, 0.0, 0.0), pose(1.0, 0.0, 0.0)], atol=1e-12)
 

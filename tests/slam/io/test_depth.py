@@ -104,15 +104,15 @@ def test_times_and_poses_as_tum_rgbd_has_them(associated: bool, folder: Path):
     write_tum(folder / "groundtruth.txt", Trajectory(stamps, world_T_camera))
     log, _ = load(folder)
     assert [scan.stamp_ns for scan in log.scans()] == stamps.tolist()
-    np.testing.assert_allclose(
-        [s.world_T_body for s in log.scans()], [pose(0.1 * k, 0, 0) for k in range(3)], atol=1e-12
-    )
-    (folder / name).write_text("1.0 depth/none.png\n")
-    with pytest.raises(LogError, match=r"none\.png: expected the depth image that the list names"):
-        load(folder)
-    (folder / name).write_text("# x\nsoon depth/9.png\n")
-    with pytest.raises(LogError, match=rf"{name}:2: expected a time and a file, got 'soon depth/9\.png'"):
-        load(folder)
+    bodies = [pose(0.1 * k, 0.0, 0.0) for k in range(3)]
+    np.testing.assert_allclose([scan.world_T_body for scan in log.scans()], bodies, atol=1e-12)
+    for text, message in (
+        ("1.0 depth/none.png\n", r"none\.png: expected the depth image that the list names"),
+        ("# x\nsoon depth/9.png\n", rf"{name}:2: expected a time and a file, got 'soon depth/9\.png'"),
+    ):
+        (folder / name).write_text(text)
+        with pytest.raises(LogError, match=message):
+            load(folder)
 
 
 def test_poses_without_times_are_as_many_as_the_images(folder: Path):
@@ -130,14 +130,9 @@ def png_of(width: int, height: int) -> bytes:
 def test_bad_images(folder: Path, capsys: pytest.CaptureFixture[str]):
     path = folder / "depth" / "9.png"
     whole = path.read_bytes()
-    cases = {
-        b"": "expected a whole PNG",
-        b"not an image": "expected a whole PNG",
-        whole[: len(whole) // 2]: "expected a whole PNG",
-        whole[:40]: "expected a whole PNG",
-        png_of(10**5, 10**5): "pixels, got 100000 x 100000|expected a whole PNG",
-        png_of(10, 10): "expected a whole PNG|got none that is finite",
-    }
+    cases = dict.fromkeys((b"", b"not an image", whole[: len(whole) // 2], whole[:40]), "expected a whole PNG")
+    cases[png_of(10**5, 10**5)] = "pixels, got 100000 x 100000|expected a whole PNG"
+    cases[png_of(10, 10)] = "expected a whole PNG|got none that is finite"
     for data, sentence in cases.items():
         path.write_bytes(data)
         with pytest.raises(LogError, match=sentence):
@@ -151,9 +146,7 @@ def test_bad_images(folder: Path, capsys: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.parametrize(("width", "interlaced", "missing"), [(40, 0, 0), (40, 0, 1), (40, 1, 2000), (4, 1, 148)])
-def test_an_image_with_fewer_pixels_than_it_has_room_for_is_refused(
-    width: int, interlaced: int, missing: int, folder: Path
-):
+def test_an_image_with_fewer_pixels_than_it_has_room_for_is_refused(width, interlaced, missing, folder: Path):
     """Pillow fills a narrow interlaced one up with zeros, which would be pixels without a return."""
     rows = b"".join(b"\0" + bytes([9]) * width for _ in range(30))
     (folder / "intrinsics.txt").write_text("100 100 20 15\n")

@@ -52,33 +52,20 @@ def test_las(name: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["a.las", "a.laz"])
-def test_las_that_declares_too_much(name: str, tmp_path: Path):
-    path = write_las(tmp_path / name)
-    data = bytearray(path.read_bytes())
-    data[107:111] = (4_000_000_000).to_bytes(4, "little")
-    path.write_bytes(bytes(data))
-    with pytest.raises(
-        LogError, match=r"bytes for 4000000000 points, got|expected sensor data, got \d+ bytes that grow to"
-    ):
-        read_cloud(path)
-
-
-@pytest.mark.parametrize("name", ["a.las", "a.laz"])
-def test_las_with_billions_of_records_or_chunks(name: str, tmp_path: Path):
+def test_las_that_declares_billions_of_points_records_or_chunks(name: str, tmp_path: Path):
     path = write_las(tmp_path / name)
     whole = path.read_bytes()
-    data = bytearray(whole)
-    data[100:104] = (4_000_000_000).to_bytes(4, "little")
-    path.write_bytes(bytes(data))
-    with pytest.raises(LogError, match="bytes for 4000000000 records before the points"):
-        read_cloud(path)
+    start = int.from_bytes(whole[96:100], "little")
+    places = {
+        107: r"bytes for 4000000000 points, got|expected sensor data, got \d+ bytes that grow to",
+        100: "bytes for 4000000000 records before the points",
+    }
     if name == "a.laz":
-        start = int.from_bytes(whole[96:100], "little")
         table = int.from_bytes(whole[start : start + 8], "little")
-        data = bytearray(whole)
-        data[table + 4 : table + 8] = (4_000_000_000).to_bytes(4, "little")
-        path.write_bytes(bytes(data))
-        with pytest.raises(LogError, match="bytes for 4000000000 chunks of points"):
+        places[table + 4] = "bytes for 4000000000 chunks of points"
+    for place, message in places.items():
+        path.write_bytes(whole[:place] + (4_000_000_000).to_bytes(4, "little") + whole[place + 4 :])
+        with pytest.raises(LogError, match=message):
             read_cloud(path)
 
 
@@ -86,7 +73,6 @@ def test_e57_with_a_pose(tmp_path: Path):
     path = write_e57(tmp_path / "ä b.e57", [(POINTS, POSES[2])])
     cloud = read_cloud(path)
     np.testing.assert_allclose(cloud.points, POINTS, atol=1e-9)
-    assert cloud.world_T_sensor is not None
     np.testing.assert_allclose(cloud.world_T_sensor, POSES[2], atol=1e-9)
 
 
@@ -139,9 +125,8 @@ def test_what_to_install(package: str, name: str, sentence: str, tmp_path: Path,
         return real(module, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    said = refused(
-        capsys, *(["slam", tmp_path / name, "--out", tmp_path / "o"] if name == "a.bag" else ["fit", tmp_path / name])
-    )
-    assert sentence in said
+    is_log = name == "a.bag"
+    words = ("slam", tmp_path / name, "--out", tmp_path / "o") if is_log else ("fit", tmp_path / name)
+    assert sentence in refused(capsys, *words)
     with pytest.raises(MissingPackageError):
-        load(tmp_path / name) if name == "a.bag" else read_cloud(tmp_path / name)
+        load(tmp_path / name) if is_log else read_cloud(tmp_path / name)

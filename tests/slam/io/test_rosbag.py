@@ -22,23 +22,21 @@ from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig, Sensor
+from spplanes.spmodel import transform_from_rpy
 from tests.slam.commands import refused, run
 from tests.slam.io.bags import SECOND, Messages, write
 from tests.slam.io.test_cloud_folders import ROOM, pose, seen_from, walls_of
 
 KINDS = ["ros1", "sqlite3", "mcap", "db3 alone", "mcap alone"]
 #: Where the lidar sits on the body.
-MOUNT = pose(0.2, -0.1, 0.5)
-MOUNT[2, 3] = 0.4
+MOUNT = transform_from_rpy((0.2, -0.1, 0.4, 0.5, 0.0, 0.0))
 PATH = np.array([pose(0.4 * k, 0.1 * k, 0.1 * k) for k in range(4)])
 
 
 def mission(messages: Messages, organised: bool = False, columns: int = 360):
     """A room from four places by a lidar on a robot, with a laser that is not wanted."""
     yield "/tf_static", SECOND, messages.tf("base_link", "mast", pose(0.2, -0.1, 0.0))
-    up = np.eye(4)
-    up[2, 3] = 0.4
-    yield "/tf_static", SECOND, messages.tf("mast", "lidar", up @ pose(0.0, 0.0, 0.5))
+    yield "/tf_static", SECOND, messages.tf("mast", "lidar", transform_from_rpy((0.0, 0.0, 0.4, 0.5, 0.0, 0.0)))
     for k, odom_T_body in enumerate(PATH):
         stamp = (10 + k) * SECOND + 5
         points = seen_from(odom_T_body @ MOUNT, k, columns)
@@ -113,8 +111,7 @@ def test_laser_scans_turn_left_and_no_returns_are_nan(tmp_path: Path):
 
 
 def test_an_upright_laser_is_a_push_broom_one(tmp_path: Path):
-    upright = np.eye(4)
-    upright[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+    upright = transform_from_rpy((0.0, 0.0, 0.0, 0.0, -np.pi / 2.0, 0.0))
 
     def make(messages: Messages):
         yield "/tf_static", SECOND, messages.tf("/base_link", "/up", upright)
@@ -177,19 +174,19 @@ def test_frames_by_option_by_rig_and_after_a_break(tmp_path: Path, capsys: pytes
     np.testing.assert_array_equal([r.odom_T_body for r in again.odometry], [r.odom_T_body for r in log.odometry])
     _, changed = load(path, Rig(sensors=rig.sensors), topics=Topics(odometry_frame="start"))
     assert (changed.odometry_frame, changed.body_frame) == ("start", None)
-    common = "slam", path, "--out", tmp_path / "out"
-    assert "--odometry-frame: expected tf from odom to a body, found none; it has start" in refused(
-        capsys, *common, "--odometry-frame", "odom"
-    )
-    assert "--body-frame: expected tf from hull, the frame of the odometry, to camera, found none" in refused(
-        capsys, *common, "--odometry-frame", "start", "--body-frame", "camera"
-    )
-    assert "--body-frame: expected a frame of tf, got camera; there are base_link, hull, lidar, start" in refused(
-        capsys, *common, "--body-frame", "camera"
-    )
-    assert "expected one source of odometry" in refused(
-        capsys, *common, "--odometry-frame", "start", "--odometry-topic", "/odom"
-    )
+    for words, sentence in (
+        ("--odometry-frame odom", "--odometry-frame: expected tf from odom to a body, found none; it has start"),
+        (
+            "--odometry-frame start --body-frame camera",
+            "--body-frame: expected tf from hull, the frame of the odometry, to camera, found none",
+        ),
+        (
+            "--body-frame camera",
+            "--body-frame: expected a frame of tf, got camera; there are base_link, hull, lidar, start",
+        ),
+        ("--odometry-frame start --odometry-topic /odom", "expected one source of odometry"),
+    ):
+        assert sentence in refused(capsys, "slam", path, "--out", tmp_path / "out", *words.split())
 
 
 def test_odometry_frame_stands_in_for_a_topic(tmp_path: Path):
@@ -201,10 +198,8 @@ def test_odometry_frame_stands_in_for_a_topic(tmp_path: Path):
     path = write(tmp_path, "ros1", make)
     log, _ = load(path, topics=Topics(odometry_frame="start"))
     np.testing.assert_allclose([reading.odom_T_body for reading in log.odometry], PATH, atol=1e-9)
-    _, by_topic = load(path)
-    other, changed = load(
-        path, by_topic.model_copy(update={"odometry_record": "/odom"}), topics=Topics(odometry_frame="start")
-    )
+    by_topic = load(path)[1].model_copy(update={"odometry_record": "/odom"})
+    other, changed = load(path, by_topic, topics=Topics(odometry_frame="start"))
     assert changed.odometry_record is None and len(other.odometry) == 4
 
 
@@ -298,23 +293,14 @@ def test_topics_by_option_and_by_rig(tmp_path: Path, capsys: pytest.CaptureFixtu
     laser = Sensor(kind="line", record="/front/scan", range_sigma_m=0.01, range_max_m=30.0)
     log, rig = load(path, Rig(sensors={"front": laser}, odometry_record="/odom"))
     assert {scan.sensor for scan in log.scans()} == {"front"} and rig.sensors["front"] is laser
-    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--topic", "/rear/scan")
-    assert (
-        "expected the topic /rear/scan, which the bag does not have; it has /lidar/points, /front/scan, /odom"
-        in sentence
-    )
-    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--odometry-topic", "/tf_static")
-    assert "expected a topic of Odometry, got /tf_static, which is of TFMessage" in sentence
-    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--odometry-topic", "/front/scan")
-    assert "expected a topic of Odometry, got /front/scan, which is of LaserScan" in sentence
-    sentence = refused(capsys, "slam", path, "--out", tmp_path / "out", "--topic", "/odom")
-    assert "expected a topic of LaserScan or PointCloud2, got /odom, which is of Odometry" in sentence
-
-
-def test_a_bag_without_scans(tmp_path: Path):
-    path = write(tmp_path, "ros1", lambda m: [("/odom", SECOND, m.odometry(SECOND, np.eye(4)))])
-    with pytest.raises(LogError, match="expected a topic of LaserScan or PointCloud2, found none"):
-        read_rosbag(path)
+    there = "which the bag does not have; it has /lidar/points, /front/scan, /odom"
+    for option, topic, sentence in (
+        ("--topic", "/rear/scan", f"expected the topic /rear/scan, {there}"),
+        ("--odometry-topic", "/tf_static", "expected a topic of Odometry, got /tf_static, which is of TFMessage"),
+        ("--odometry-topic", "/front/scan", "expected a topic of Odometry, got /front/scan, which is of LaserScan"),
+        ("--topic", "/odom", "expected a topic of LaserScan or PointCloud2, got /odom, which is of Odometry"),
+    ):
+        assert sentence in refused(capsys, "slam", path, "--out", tmp_path / "out", option, topic)
 
 
 WRONG = {
@@ -329,20 +315,22 @@ WRONG = {
 def test_wrong_clouds_name_their_topic(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     change, sentence = WRONG[case]
     path = write(tmp_path, "ros1", lambda m: [("/p", SECOND, m.cloud(SECOND, np.ones((9, 3)), **change))])
-    assert f"run 1 ü.bag: /p: {sentence}" in refused(capsys, "slam", path, "--out", tmp_path / "out").replace(
-        "   ", " "
-    )
+    said = refused(capsys, "slam", path, "--out", tmp_path / "out")
+    assert f"run 1 ü.bag: /p: {sentence}" in said.replace("   ", " ")
 
 
-def test_a_wrong_quaternion(tmp_path: Path):
+def test_bags_without_scans_and_with_a_wrong_quaternion_are_refused(tmp_path: Path):
     def make(messages: Messages):
         message = messages.odometry(SECOND, np.eye(4))
         message.pose.pose.orientation.w = 0.0
         yield "/odom", SECOND, message
         yield "/points", SECOND, messages.cloud(SECOND, np.ones((9, 3)))
 
+    with pytest.raises(LogError, match="expected a topic of LaserScan or PointCloud2, found none"):
+        read_rosbag(write(tmp_path, "ros1", lambda messages: islice(make(messages), 1)))
+    (tmp_path / "other").mkdir()
     with pytest.raises(LogError, match=r"/odom: expected a unit quaternion, got one of norm 0"):
-        read_rosbag(write(tmp_path, "ros1", make))
+        read_rosbag(write(tmp_path / "other", "ros1", make))
 
 
 @pytest.mark.parametrize("kind", ["ros1", "ros1 bz2", "ros1 lz4", "mcap alone"])
@@ -401,10 +389,9 @@ def test_unpacking_stops_before_memory_is_taken(kind: str, monkeypatch: pytest.M
     monkeypatch.setattr(raw, "HARMLESS_BYTES", 1 << 18)
     monkeypatch.setattr(raw, "MOST_GROWTH", 2)
     assert unpack(pack(b"abc") + pack(b"def"), kind) == b"abcdef"
-    with pytest.raises(TooLarge, match="grow out of all proportion"):
-        unpack(pack(bytes(1 << 20)), kind)
-    with pytest.raises(TooLarge, match="grow out of all proportion"):
-        unpack(pack(bytes(1 << 17)) * 3, kind)
+    for large in (pack(bytes(1 << 20)), pack(bytes(1 << 17)) * 3):
+        with pytest.raises(TooLarge, match="grow out of all proportion"):
+            unpack(large, kind)
     with pytest.raises(EOFError, match="break off"):
         unpack(pack(np.random.default_rng(0).bytes(1000))[:-20], kind)
 

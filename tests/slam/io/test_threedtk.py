@@ -70,48 +70,26 @@ def test_a_point_moved_before_or_after_the_change_of_axes_is_the_same(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("pose", "message"),
+    ("name", "content", "message"),
     [
-        ("0 0 a\n0 0 0\n", r"scan000\.pose:1: expected numbers, got '0 0 a'"),
-        ("0 0 0\n0 0\n", r"scan000\.pose: expected six numbers \(x y z rx ry rz\), got 5"),
-        ("0 0 nan\n0 0 0\n", r"scan000\.pose:1: expected finite numbers"),
+        ("scan000.pose", b"0 0 a\n0 0 0\n", r"scan000\.pose:1: expected numbers, got '0 0 a'"),
+        ("scan000.pose", b"0 0 0\n0 0\n", r"scan000\.pose: expected six numbers \(x y z rx ry rz\), got 5"),
+        ("scan000.pose", b"0 0 nan\n0 0 0\n", r"scan000\.pose:1: expected finite numbers"),
+        ("scan000.pose", None, r"scan000\.pose: expected the pose of the scan beside it, found no such file"),
+        ("scan000.3d", b"1 2 3\n4 5 x\n", r"scan000\.3d:2: expected numbers, got '4 5 x'"),
+        ("scan000.3d", b"1 2 3\n4 5\n", r"scan000\.3d:2: expected 3 numbers, got 2 words"),
+        ("scan000.3d", b"", r"scan000\.3d: expected lines of three numbers, got an empty file"),
+        ("scan000.3d", bytes(range(256)), r"scan000\.3d:2: expected numbers as text, got other bytes"),
+        ("scan000.3d", b"0 0 3276\n1 1 3276\n", r"scan000\.3d: expected at least one return within 32 m, got none"),
+        ("scan000.3d", b"1 2 inf\n", r"scan000\.3d:1: expected finite numbers"),
+        ("scan000.3d.gz", gzip.compress(scanner_points().tobytes())[:200], "the gzip data is cut off or damaged"),
     ],
 )
-def test_a_bad_pose_is_named(tmp_path: Path, pose: str, message: str):
-    write_scan(tmp_path, 0, scanner_points(), pose=pose)
-    with pytest.raises(LogError, match=message):
-        read_3dtk(tmp_path)
-
-
-def test_a_missing_pose_is_named(tmp_path: Path):
-    write_scan(tmp_path, 0, scanner_points())
-    (tmp_path / "scan000.pose").unlink()
-    with pytest.raises(LogError, match=r"scan000\.pose: expected the pose of the scan beside it, found no such file"):
-        read_3dtk(tmp_path)
-
-
-def test_a_truncated_scan_is_named(tmp_path: Path):
-    write_scan(tmp_path, 0, scanner_points())
-    path = tmp_path / "scan000.3d.gz"
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(LogError, match=r"scan000\.3d\.gz: the gzip data is cut off or damaged"):
-        read_3dtk(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"1 2 3\n4 5 x\n", r"scan000\.3d:2: expected numbers, got '4 5 x'"),
-        (b"1 2 3\n4 5\n", r"scan000\.3d:2: expected 3 numbers, got 2 words"),
-        (b"", r"scan000\.3d: expected lines of three numbers, got an empty file"),
-        (bytes(range(256)), r"scan000\.3d:2: expected numbers as text, got other bytes"),
-        (b"0 0 3276\n1 1 3276\n", r"scan000\.3d: expected at least one return within 32 m, got none"),
-        (b"1 2 inf\n", r"scan000\.3d:1: expected finite numbers"),
-    ],
-)
-def test_bad_points_are_named_with_their_line(tmp_path: Path, content: bytes, message: str):
-    write_scan(tmp_path, 0, scanner_points(), packed=False)
-    (tmp_path / "scan000.3d").write_bytes(content)
+def test_a_scan_or_a_pose_that_is_bad_is_named_with_its_line(tmp_path: Path, name: str, content: bytes, message: str):
+    write_scan(tmp_path, 0, scanner_points(), packed=name.endswith("gz"))
+    (tmp_path / name).unlink()
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
     with pytest.raises(LogError, match=message):
         read_3dtk(tmp_path)
 

@@ -12,12 +12,16 @@ from slam.evaluation.trajectories import read_relations
 from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
 
 
+def poses_at(places, turns):
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), places
+    return poses
+
+
 def some_poses(n, seed=0):
     rng = np.random.default_rng(seed)
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, :3, :3] = Rotation.random(n, rng=rng).as_matrix()
-    poses[:, :3, 3] = 1e3 * rng.standard_normal((n, 3))
-    return poses
+    turns = Rotation.random(n, rng=rng)
+    return poses_at(1e3 * rng.standard_normal((n, 3)), turns)
 
 
 def test_tum_round_trip(tmp_path):
@@ -116,11 +120,9 @@ EVO = Path(__file__).parent / "fixtures"
 
 
 def evo_poses():
-    poses = np.tile(np.eye(4), (4, 1, 1))
     k = np.arange(4.0)
-    poses[:, :3, 3] = np.column_stack((0.5 * k, -0.25 * k, 0.125 * k**2))
-    poses[:, :3, :3] = Rotation.from_euler("zyx", np.column_stack((0.3 * k, -0.1 * k, 0.05 * k))).as_matrix()
-    return poses
+    turns = Rotation.from_euler("zyx", np.column_stack((0.3 * k, -0.1 * k, 0.05 * k)))
+    return poses_at(np.column_stack((0.5 * k, -0.25 * k, 0.125 * k**2)), turns)
 
 
 def test_what_evo_writes():
