@@ -25,8 +25,7 @@ SECOND = 10**9
 @pytest.fixture
 def clouds(tmp_path: Path) -> Path:
     """Four clouds without times."""
-    place = tmp_path / "clouds"
-    place.mkdir()
+    (place := tmp_path / "clouds").mkdir()
     for k, world_T_sensor in enumerate(POSES):
         np.save(place / f"{k}.npy", seen_from(world_T_sensor, k, 90).reshape(-1, 3))
     return place
@@ -107,11 +106,11 @@ def test_ground_truth_of_a_camera_is_no_odometry_unless_asked_for(images: Path, 
 
 def test_a_log_of_any_kind_gets_the_odometry_of_a_file(tmp_path: Path):
     log, file = laser_log(), tmp_path / "o.tum"
-    poses = np.array([pose(0.1 * k, 1.0, 0.0) for k in range(9)])
-    write_tum(file, Trajectory(np.arange(9) * SECOND // 2, poses))
+    given = Trajectory(np.arange(9) * SECOND // 2, np.array([pose(0.1 * k, 1.0, 0.0) for k in range(9)]))
+    write_tum(file, given)
     moved = with_odometry(log, file)
-    assert [one.stamp_ns for one in moved.odometry] == (np.arange(9) * SECOND // 2).tolist()
-    np.testing.assert_allclose([one.odom_T_body for one in moved.odometry], poses, atol=1e-12)
+    assert [one.stamp_ns for one in moved.odometry] == given.stamps_ns.tolist()
+    np.testing.assert_allclose([one.odom_T_body for one in moved.odometry], given.poses, atol=1e-12)
     assert moved.scans() == log.scans()
     stamps = [event.stamp_ns for event in moved.events]
     assert stamps == sorted(stamps) and isinstance(moved.events[0], OdometryReading)
