@@ -25,11 +25,12 @@ from slam.map.map_planes import MapPlane
 from slam.planeslam import pose_symbol
 from slam.registration.initial_pose import find_start
 from slam.session.prior_map import PriorMap, floor_start, map_covariance, read_prior
+from slam.session.replay import SessionRecorder
 from slam.session.store import Session, SessionError
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.factors.factor_scenes import assert_jacobian
-from tests.slam.commands import run
+from tests.slam.commands import refused, run
 from tests.slam.scenes import SIGMAS, Drive, drive, measured, planar_nees, room_planes, run_of
 from tests.statistics import assert_mean_in_band, central_differences
 
@@ -164,6 +165,8 @@ def test_the_prior_of_a_map_is_the_gaussian_it_says():
 
 
 PLANE = room_planes()[0]
+#: A covariance that is below zero by rounding.
+BELOW = np.diag([1.0, 1.0, -1e-14])
 ENTRY, KEY = MapPlane(0, PLANE, PLANE.outline, 3, ("plane",)), gtsam.symbol("p", 0)  # type: ignore[arg-type]
 
 
@@ -175,10 +178,7 @@ ENTRY, KEY = MapPlane(0, PLANE, PLANE.outline, 3, ("plane",)), gtsam.symbol("p",
         (lambda: map_prior([PLANE], [KEY], np.eye(6)), r"covariance: expected shape \(3, 3\)"),
         (lambda: PriorMap([], np.empty((0, 0)), np.eye(4), np.eye(6)), "planes: expected at least one plane, got none"),
         (lambda: PriorMap([ENTRY], np.eye(3), np.eye(4), np.zeros((6, 6))), "start_covariance: expected a positive"),
-        (  # below zero by rounding
-            lambda: PriorMap([ENTRY], np.diag([1.0, 1.0, -1e-14]), np.eye(4), np.eye(6)),
-            "covariance: expected standard deviations of planes",
-        ),
+        (lambda: PriorMap([ENTRY], BELOW, np.eye(4), np.eye(6)), "covariance: expected standard deviations of planes"),
     ],
 )
 def test_bad_priors_are_refused(make: Callable[[], object], sentence: str):
@@ -189,8 +189,6 @@ def test_bad_priors_are_refused(make: Callable[[], object], sentence: str):
 def test_a_session_keeps_its_prior(tmp_path: Path):
     scene = drive(7)
     prior = prior_of(mapped(6), scene.world_T_body[0])
-    from slam.session.replay import SessionRecorder
-
     session = Session.create(tmp_path / "session.db", SlamConfig(), prior=prior.to_bytes())
     with PlaneSlam(prior=prior, recorder=SessionRecorder(session)) as slam:
         run_of(scene.keyframes[:6], slam)
@@ -203,15 +201,11 @@ def test_a_session_keeps_its_prior(tmp_path: Path):
 def corner_map() -> list[MapPlane]:
     """The room with half of one wall a metre further out: no turn of it is the same."""
     planes = room_planes()
-    bay = replace(planes[5], frame=planes[5].frame @ moved(2.0, 0.0, -1.0), outline=box(-2.0, -1.5, 2.0, 1.5))
-    rest = replace(planes[5], frame=planes[5].frame @ moved(-2.0, 0.0, 0.0), outline=box(-2.0, -1.5, 2.0, 1.5))
-    return [as_entry(number, plane) for number, plane in enumerate([*planes[:5], rest, bay])]
-
-
-def moved(x: float, y: float, z: float) -> np.ndarray:
-    step = np.eye(4)
-    step[:3, 3] = x, y, z
-    return step
+    halves = [
+        replace(planes[5], frame=planes[5].frame @ shifted, outline=box(-2.0, -1.5, 2.0, 1.5))
+        for shifted in (transform_from_rpy((-2.0, 0, 0, 0, 0, 0)), transform_from_rpy((2.0, 0, -1.0, 0, 0, 0)))
+    ]
+    return [as_entry(number, plane) for number, plane in enumerate([*planes[:5], *halves])]
 
 
 def as_entry(number: int, plane: Plane) -> MapPlane:
@@ -279,8 +273,8 @@ def test_a_start_that_cannot_be_told_is_refused():
         find_start(room, seen_at(room, truth, 0))
     with pytest.raises(ValueError, match="expected two walls of the map in the first keyframe, found none"):
         find_start(room, seen_at(room[:3], truth, 0))
-    elsewhere = replace(room[2].plane, frame=room[2].plane.frame @ moved(0.0, 0.0, -40.0))
-    stretched = [*room[3:], as_entry(2, elsewhere)]
+    far = room[2].plane.frame @ transform_from_rpy((0.0, 0.0, -40.0, 0.0, 0.0, 0.0))
+    stretched = [*room[3:], as_entry(2, replace(room[2].plane, frame=far))]
     with pytest.raises(ValueError, match=r"that explains 60 % of the walls .*, found \d+ %"):
         find_start(room[:3] + room[4:5], seen_at(stretched, truth, 0))
 
@@ -310,9 +304,8 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
     assert told["of them seen again"] == sum(grown[one.id] > one.observations for one in first.planes)
     assert [one.id for one in second.planes[: len(first.planes)]] == [one.id for one in first.planes]
     alone = PriorMap.load(tmp_path / "first" / "planes.json")
-    assert [one.plane.to_dict() for one in alone.planes] == [
-        one.plane.to_dict() | {"chi2": 0.0} for one in first.planes if one.plane.outline is not None
-    ]
+    shown = [one.plane for one in first.planes if one.plane.outline is not None]
+    assert [one.plane.to_dict() for one in alone.planes] == [plane.to_dict() | {"chi2": 0.0} for plane in shown]
     assert alone.warnings and not first.warnings and "independent" not in err
     code, _, err = run(capsys, *again, tmp_path / "first" / "planes.json", "--out", tmp_path / "alone")
     assert code == 0 and f"warning: the {len(alone.planes)} planes of the prior map are taken as independent" in err
@@ -324,5 +317,5 @@ def test_a_second_mission_from_the_command_line(tmp_path: Path, capsys: pytest.C
         (["--start", "1,2"], "--start: expected 3 or 6 numbers with commas between them, got '1,2'"),
         (["--start-sigma", "0,1"], "--start-sigma: expected two positive numbers"),
     ):
-        code, _, err = run(capsys, *again, tmp_path / "first", "--out", tmp_path / "no", *words)
-        assert code == 2 and sentence in err and not (tmp_path / "no").exists()
+        assert sentence in refused(capsys, *again, tmp_path / "first", "--out", tmp_path / "no", *words)
+        assert not (tmp_path / "no").exists()

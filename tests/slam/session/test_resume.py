@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import resource
 import shutil
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
 from slam.session.opening import SESSION_FILE
 from slam.session.store import Session, StorageError, salvage_session
-from tests.slam.commands import command, run
+from tests.slam.commands import command, refused, run
 from tests.slam.scenes import drive, run_of
 from tests.slam.session import kill
 
@@ -80,21 +82,22 @@ def test_a_finished_run_has_its_session_and_nothing_else_left(whole: Path):
         assert [one.sensor for one in session.scans(2)] == ["horizontal"]
 
 
-@pytest.mark.parametrize(
-    ("way", "error"),
-    [("run", KeyboardInterrupt()), ("log and out", ValueError("a bad scan")), ("moved", RuntimeError("a bug"))],
-    ids=["run", "log and out", "moved"],
-)
-def test_a_run_that_ended_early_goes_on_to_the_same_result(
-    whole: Path, mission: Path, tmp_path: Path, stopped, capsys, way: str, error: BaseException
-):
+ENDS = {
+    "run": (KeyboardInterrupt(), 1),
+    "log and out": (ValueError("a bad scan"), 2),
+    "moved": (RuntimeError("a bug"), 1),
+}
+
+
+@pytest.mark.parametrize("way", ENDS)
+def test_a_run_that_ended_early_goes_on_to_the_same_result(whole, mission: Path, tmp_path: Path, stopped, capsys, way):
     out, config = tmp_path / "run", mission.parent / "config.yaml"
+    error, expected = ENDS[way]
     code, _, err = stopped(error, out)
-    assert code == {KeyboardInterrupt: 1, ValueError: 2, RuntimeError: 1}[type(error)]
+    assert code == expected
     assert f"go on with: spplanes slam --resume {out}" in err
     assert {path.name.removeprefix(SESSION_FILE) for path in out.iterdir()} == {""}
-    code, _, err = run(capsys, "slam", mission, "--out", out, "--config", config)
-    assert code == 2 and "exists already" in err
+    assert "exists already" in refused(capsys, "slam", mission, "--out", out, "--config", config)
     arguments = {
         "run": ["--resume", out],
         "log and out": [mission, "--out", out, "--resume"],
@@ -110,14 +113,10 @@ def test_a_run_that_ended_early_goes_on_to_the_same_result(
     assert code == 0 and err.strip() == f"{out}: finished already; nothing is left to do"  # a supervisor may loop
 
 
-def test_a_run_that_died_while_writing_results_writes_them_again(
-    whole: Path, mission: Path, tmp_path: Path, monkeypatch, capsys
-):
+def test_a_run_that_died_while_writing_results_writes_them_again(whole, mission, tmp_path: Path, monkeypatch, capsys):
     out = tmp_path / "run"
     with monkeypatch.context() as patch:
-        patch.setattr(
-            "slam.output.run_files.write_report", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left"))
-        )
+        patch.setattr("slam.output.run_files.write_report", Mock(side_effect=OSError(28, "No space left")))
         assert run(capsys, "slam", mission, "--out", out, "--config", mission.parent / "config.yaml")[0] == 1
     assert [path.name for path in out.iterdir()] == [SESSION_FILE]
     assert run(capsys, "slam", "--resume", out)[0] == 0
@@ -165,28 +164,25 @@ def unfinished(tmp_path: Path, stopped) -> Path:
 
 
 def test_another_log_is_refused_and_one_that_grew_is_not(unfinished: Path, mission: Path, tmp_path: Path, capsys):
-    import gzip
-
     other = tmp_path / "other"
     shutil.copytree(mission, other)
     lines = gzip.decompress((mission / "log.clf.gz").read_bytes()).decode().splitlines(keepends=True)
     changed = [line.replace(" 2.", " 2.1") for line in lines]
     (other / "log.clf.gz").write_bytes(gzip.compress("".join(changed).encode()))
-    code, _, err = run(capsys, "slam", other, "--out", unfinished, "--resume")
-    assert code == 2 and "expected the log that the run began with" in err
+    said = refused(capsys, "slam", other, "--out", unfinished, "--resume")
+    assert "expected the log that the run began with" in said
     grown = [*lines, "# the robot drove on\n"]
     (other / "log.clf.gz").write_bytes(gzip.compress("".join(grown).encode()))
     assert run(capsys, "slam", other, "--out", unfinished, "--resume")[0] == 0
 
 
 def test_what_comes_next_after_an_interruption_is_offered(unfinished: Path, mission: Path, capsys):
-    code, _, err = run(capsys, "slam", mission, "--out", unfinished)
-    assert code == 2 and f"its run is not finished: go on with --resume {unfinished}" in err
+    said = refused(capsys, "slam", mission, "--out", unfinished)
+    assert f"its run is not finished: go on with --resume {unfinished}" in said
     for words in (["view", unfinished], ["export", unfinished, "--to", unfinished.parent / "a.tum"]):
-        code, _, err = run(capsys, *words)
-        assert code == 2 and f"the run is not finished; go on with: spplanes slam --resume {unfinished}" in err
-    code, _, err = run(capsys, "evaluate", unfinished, "--truth", mission / "truth")
-    assert code == 2 and "the run is not finished" in err
+        said = refused(capsys, *words)
+        assert f"the run is not finished; go on with: spplanes slam --resume {unfinished}" in said
+    assert "the run is not finished" in refused(capsys, "evaluate", unfinished, "--truth", mission / "truth")
     assert run(capsys, "explain", unfinished, 2)[0] == 0
 
 
@@ -199,10 +195,8 @@ def test_a_run_with_odometry_of_its_own_file_goes_on_with_it(mission: Path, tmp_
     code, _, err = run(capsys, "slam", mission, *words)
     assert code == 0 and f"odometry: {len(truth)} poses of given.tum; the log's own" in err
     stopped(KeyboardInterrupt(), tmp_path / "run", "--odometry", given)
-    moved = Trajectory(truth.stamps_ns, truth.poses @ planar_transform(0.01, 0.0, 0.01))
-    write_tum(given, moved)
-    code, _, err = run(capsys, "slam", "--resume", tmp_path / "run")
-    assert code == 2 and "expected the log that the run began with" in err
+    write_tum(given, Trajectory(truth.stamps_ns, truth.poses @ planar_transform(0.01, 0.0, 0.01)))
+    assert "expected the log that the run began with" in refused(capsys, "slam", "--resume", tmp_path / "run")
     write_tum(given, truth)
     assert run(capsys, "slam", "--resume", tmp_path / "run")[0] == 0
     for name in SAME:
@@ -215,16 +209,14 @@ def test_what_resume_does_not_take_is_refused(unfinished: Path, tmp_path: Path, 
     for wrong in (["--resume"], ["--resume", unfinished, "--keep-raw"], ["--resume", unfinished, "--rig", "x"]):
         assert run(capsys, "slam", *wrong)[0] == 2
     assert run(capsys, "slam", unfinished, "--salvage")[0] == 2
-    for path, words in ((tmp_path / "none", "found nothing"), (tmp_path, "expected a session, found nothing")):
-        code, _, err = run(capsys, "slam", "--resume", path)
-        assert code == 2 and words in err and "Traceback" not in err
+    for path, sentence in ((tmp_path / "none", "found nothing"), (tmp_path, "expected a session, found nothing")):
+        assert sentence in refused(capsys, "slam", "--resume", path)
 
 
 def test_a_damaged_session_is_refused_then_salvaged_and_finished(whole: Path, unfinished: Path, capsys):
     with sqlite3.connect(unfinished / SESSION_FILE) as other:
         other.execute("UPDATE keyframes SET data = zeroblob(length(data)) WHERE id = 3")
-    code, _, err = run(capsys, "slam", "--resume", unfinished)
-    assert code == 2 and "damaged at keyframe 3 of 5" in err
+    assert "damaged at keyframe 3 of 5" in refused(capsys, "slam", "--resume", unfinished)
     code, _, err = run(capsys, "slam", "--resume", "--salvage", unfinished)
     assert code == 0 and "saved 3 keyframes; the damaged file is now session.db.damaged" in err
     assert (unfinished / f"{SESSION_FILE}.damaged").exists()
@@ -244,7 +236,6 @@ def test_raw_scans_come_along_when_a_session_is_salvaged_and_are_those_of_the_lo
         events = load(Path((session.log or {})["path"]), session.rig)[0].events
     assert len(kept) >= 4
     for one in kept:
-        assert one.position is not None and isinstance(one.scan, LaserScan)
         event = events[one.position]
         assert isinstance(event, LaserScan) and (event.stamp_ns, event.sensor) == (one.stamp_ns, one.sensor)
         np.testing.assert_array_equal(event.ranges, one.scan.ranges)

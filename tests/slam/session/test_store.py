@@ -18,9 +18,10 @@ from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.map.data_association import Candidate, Decision
 from slam.planeslam import pose_symbol
-from slam.sensors.log import CloudScan, LaserScan
+from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.session._codec import CodecError, decode, encode
 from slam.session._file import digest
+from slam.session.replay import SessionRecorder
 from slam.session.store import Session, SessionDamaged, SessionError, salvage_session
 from spplanes import ScanLine
 from tests.slam.scenes import drive, run_of
@@ -91,16 +92,14 @@ def test_decisions_are_recorded_and_compared(recorded: Path, uninterrupted: Plan
 
 def test_measurements_are_committed_before_the_graph_uses_them(tmp_path: Path):
     """At the moment the graph first hears of a keyframe, and of its factors, another process would find them."""
-    path = tmp_path / "session.db"
-    found: list[tuple[int, int]] = []
+    path, found = tmp_path / "session.db", []
     with PlaneSlam.open(path) as slam:
         update = slam.backend.update
 
         def watched(*arguments, **options):
             with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as other:
-                (keyframes,) = other.execute("SELECT count(*) FROM keyframes").fetchone()
-                (decisions,) = other.execute("SELECT count(*) FROM decisions").fetchone()
-            found.append((keyframes, decisions))
+                counted = "SELECT (SELECT count(*) FROM keyframes), (SELECT count(*) FROM decisions)"
+                found.append(other.execute(counted).fetchone())
             return update(*arguments, **options)
 
         slam.backend.update = watched  # type: ignore[method-assign]
@@ -207,17 +206,10 @@ def test_the_end_of_the_journal_is_missed(tmp_path: Path):
         copy_as_killed(path, copy)
     files = [copy, *(copy.with_name(copy.name + suffix) for suffix in ("-wal", "-shm", "-lock"))]
     contents = [one.read_bytes() for one in files]
-    whole = contents[1]
-    assert len(whole) > 4_000_000 and whole.endswith(bytes(4_000_000)), "room is made before it is needed"
-    whole = whole.rstrip(b"\0")
-    for broken in (
-        whole[: len(whole) // 2],
-        whole[:-30_000],
-        bytes([*whole[:20_000], whole[20_000] ^ 1, *whole[20_001:]]),
-        bytes([whole[0] ^ 1, *whole[1:]]),
-        b"",
-        None,
-    ):
+    assert len(contents[1]) > 4_000_000 and contents[1].endswith(bytes(4_000_000)), "room is made before it is needed"
+    whole = contents[1].rstrip(b"\0")
+    flipped = [bytes([*whole[:place], whole[place] ^ 1, *whole[place + 1 :]]) for place in (20_000, 0)]
+    for broken in (whole[: len(whole) // 2], whole[:-30_000], *flipped, b"", None):
         for file, content in zip(files, contents, strict=True):
             file.write_bytes(content)
         files[1].write_bytes(broken) if broken is not None else files[1].unlink()
@@ -277,9 +269,6 @@ def test_no_two_sequences_have_one_digest():
 
 
 def test_raw_scans_by_place_and_by_value(tmp_path: Path):
-    from slam.sensors.log import Log
-    from slam.session.replay import SessionRecorder
-
     laser = LaserScan(5, "front", np.array([1.0, np.nan, 2.5]), np.array([-1.0, 0.0, 1.0]))
     cloud = CloudScan(6, "top", np.arange(12.0).reshape(4, 3))
     log = Log([laser, cloud], tmp_path / "log")
