@@ -1,4 +1,4 @@
-"""A headless Chromium, driven over W3C WebDriver with the standard library alone."""
+"""A headless Chromium, driven over W3C WebDriver with the standard library alone; tests without one are skipped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 REASON = "" if shutil.which("chromedriver") else "chromedriver is not there (Debian: chromium-driver)"
-needs_browser = pytest.mark.skipif(bool(REASON), reason=REASON)
 
 _FLAGS = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars"]
 #: Not through a proxy that the environment may name.
@@ -27,6 +26,8 @@ class Browser:
     """One window; `close` ends the browser and its driver."""
 
     def __init__(self, *, width: int = 1200, height: int = 900, scale: float = 1.0) -> None:
+        if REASON:
+            pytest.skip(REASON)
         self._profile = tempfile.TemporaryDirectory(prefix="chromium-")
         # port 0: the driver chooses a free one and says which
         command = [str(shutil.which("chromedriver")), "--port=0"]

@@ -1,6 +1,5 @@
 """Maps as Open3D geometry: shapes, sides, holes, deviations; legacy and tensor alike; without a window."""
 
-import sys
 from types import SimpleNamespace
 
 import gtsam
@@ -18,7 +17,6 @@ from slam.visualization.open3d_export import (
     planes_to_mesh,
     points_to_cloud,
     trajectory_to_lines,
-    vertex_sigmas,
 )
 from spplanes import Plane, fit_plane
 from spplanes.spmodel import transform_from_rpy
@@ -30,7 +28,7 @@ except (ImportError, OSError) as error:  # OSError: a system library that it loa
 else:
     REASON = ""
 
-needs_open3d = pytest.mark.skipif(o3d is None, reason=REASON)
+needs_open3d = pytestmark = pytest.mark.skipif(o3d is None, reason=REASON)
 
 FRAME = transform_from_rpy((1.0, 2.0, 3.0, 0.4, -0.7, 0.2))
 COVARIANCE = np.diag([1e-6, 4e-6, 9e-6])
@@ -53,38 +51,16 @@ def path():
     return Trajectory(np.array([0, 10, 20]), poses)
 
 
-@needs_open3d
-def test_mesh_has_the_area_of_the_outlines_less_their_holes():
-    mesh = planes_to_mesh(two_planes())
-    assert mesh.get_surface_area() == pytest.approx((8.0 - 1.0) + (1.0 + 2.0), rel=1e-12)
-
-
-@needs_open3d
-def test_mesh_lies_on_the_plane_and_faces_its_side():
-    plane = wall()
-    mesh = planes_to_mesh([plane])
-    assert np.abs(plane.plane.distance(np.asarray(mesh.vertices))).max() < 1e-12
-    np.testing.assert_allclose(np.asarray(mesh.vertex_normals), np.tile(plane.plane.normal, (len(mesh.vertices), 1)))
+def test_mesh_has_the_area_of_the_outlines_less_their_holes_lies_on_its_plane_and_faces_its_side():
+    assert planes_to_mesh(two_planes()).get_surface_area() == pytest.approx((8.0 - 1.0) + (1.0 + 2.0), rel=1e-12)
+    plane, mesh = wall().plane, planes_to_mesh([wall()])
+    assert np.abs(plane.distance(np.asarray(mesh.vertices))).max() < 1e-12
+    np.testing.assert_allclose(np.asarray(mesh.vertex_normals), np.tile(plane.normal, (len(mesh.vertices), 1)))
     mesh.compute_triangle_normals()
-    np.testing.assert_allclose(
-        np.asarray(mesh.triangle_normals), np.tile(plane.plane.normal, (len(mesh.triangles), 1)), atol=1e-12
-    )
+    normals = np.tile(plane.normal, (len(mesh.triangles), 1))
+    np.testing.assert_allclose(np.asarray(mesh.triangle_normals), normals, atol=1e-12)
 
 
-def test_deviation_knows_the_signs_of_the_cross_terms():
-    # z = p_z - theta x + psi y: with z and theta fully correlated the plane pivots about the point x = 1, not x = -1
-    from slam.visualization.mesh import Mesh
-
-    plane = Plane(np.eye(4), np.outer([1e-3, 1e-3, 0.0], [1e-3, 1e-3, 0.0]), 10)
-    corners = np.array([[1.0, 5.0, 0.0], [-1.0, 5.0, 0.0]])
-    mesh = Mesh(
-        corners, np.empty((0, 3), np.int32), np.zeros(2, np.int32), np.zeros((2, 3), np.uint8), np.zeros((2, 3))
-    )
-    sigmas = vertex_sigmas([MapPlane(0, plane, box(-1, -1, 1, 1), 1, ("plane",))], mesh)
-    np.testing.assert_allclose(sigmas, [0.0, 2e-3], atol=1e-12)
-
-
-@needs_open3d
 def test_colour_by_deviation_grows_from_dark_to_bright():
     mesh = planes_to_mesh([wall()], colour_by="sigma")
     sigmas = np.linalg.norm(np.asarray(mesh.vertices) - FRAME[:3, 3], axis=1)  # inner corners are the surer ones
@@ -95,7 +71,6 @@ def test_colour_by_deviation_grows_from_dark_to_bright():
     assert len(np.unique(np.asarray(limited.vertex_colors), axis=0)) == 1
 
 
-@needs_open3d
 def test_outlines_are_closed_rings_and_lone_segments():
     planes = [wall(), wall(8, LineString([(0, 0), (3, 0)]))]
     lines = outlines_to_lines(planes)
@@ -106,7 +81,6 @@ def test_outlines_are_closed_rings_and_lone_segments():
     assert len(lines.colors) == len(pairs)
 
 
-@needs_open3d
 def test_tensor_geometry_is_the_legacy_one_with_ids_and_deviations():
     planes = two_planes()
     legacy, tensor = planes_to_mesh(planes), planes_to_mesh(planes, tensor=True)
@@ -122,7 +96,6 @@ def test_tensor_geometry_is_the_legacy_one_with_ids_and_deviations():
     assert trajectory_to_lines(path(), tensor=True).line.indices.numpy().shape == (2, 2)
 
 
-@needs_open3d
 def test_points_are_coloured_by_plane_and_gaps_are_left_out():
     points = np.arange(24.0).reshape(2, 4, 3)
     points[0, 1] = np.nan
@@ -136,7 +109,6 @@ def test_points_are_coloured_by_plane_and_gaps_are_left_out():
     assert len(points_to_cloud(points).points) == 7
 
 
-@needs_open3d
 def test_a_fitted_plane_without_an_outline_is_the_rectangle_of_its_points():
     """The extents come out of the covariance: of 20,000 points spread evenly they are right to 2 %."""
     rng = np.random.default_rng(0)
@@ -147,7 +119,6 @@ def test_a_fitted_plane_without_an_outline_is_the_rectangle_of_its_points():
     assert mesh.get_surface_area() == pytest.approx(3.0 * 0.8, rel=0.03)
 
 
-@needs_open3d
 def test_planes_of_a_graph_of_ones_own_are_drawn():
     rng = np.random.default_rng(1)
     world_T_body = gtsam.Pose3(gtsam.Rot3.Yaw(0.4), np.array([3.0, 1.0, 0.0]))
@@ -169,17 +140,13 @@ def test_planes_of_a_graph_of_ones_own_are_drawn():
         world_plane(values, marginals, 2, anchor_key=1, shape_of=loose)
 
 
-@needs_open3d
 def test_trajectories_of_any_kind_are_lines():
-    poses = path().poses
+    poses, expected = path().poses, np.asarray(trajectory_to_lines(path()).points)
     for given in (poses, list(poses), [gtsam.Pose3(pose) for pose in poses]):
-        np.testing.assert_array_equal(
-            np.asarray(trajectory_to_lines(given).points), np.asarray(trajectory_to_lines(path()).points)
-        )
+        np.testing.assert_array_equal(np.asarray(trajectory_to_lines(given).points), expected)
     assert len(trajectory_to_lines([]).points) == 0
 
 
-@needs_open3d
 def test_ellipsoids_enclose_what_the_covariance_says():
     """Every corner at the chi2 quantile of its ellipsoid, enlarged as told; the great ellipses reach all six poles."""
     rng = np.random.default_rng(0)
@@ -200,15 +167,10 @@ def test_ellipsoids_enclose_what_the_covariance_says():
     tensor = ellipsoids_to_lines([centre], [covariance], tensor=True)
     assert set(tensor.line["plane"].numpy().ravel()) == {0}
     assert not ellipsoids_to_lines(np.empty((0, 3)), np.empty((0, 3, 3))).has_lines()
-
-
-@needs_open3d
-def test_flat_ellipsoids_are_drawn():
     flat = ellipsoids_to_lines([[0.0, 0.0, 0.0]], [np.diag([1.0, 4.0, 0.0])])
     assert np.abs(np.asarray(flat.points)[:, 2]).max() == 0.0
 
 
-@needs_open3d
 def test_an_empty_map_is_empty_geometry():
     for tensor in (False, True):
         assert planes_to_mesh([], tensor=tensor).is_empty()
@@ -218,7 +180,6 @@ def test_an_empty_map_is_empty_geometry():
     assert only_lines.is_empty()
 
 
-@needs_open3d
 @pytest.mark.parametrize(
     ("draw", "sentence"),
     [
@@ -243,13 +204,6 @@ def test_what_cannot_be_drawn_says_what_is_wanted(draw, sentence):
         draw()
 
 
-def test_without_open3d_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(ImportError, match=r"pip install spplanes\[open3d\].*libusb-1.0"):
-        planes_to_mesh([])
-
-
-@needs_open3d
 def test_what_one_would_hand_in_is_taken():
     """One plane, a run, positions, a cloud as it was read."""
     run, one = SimpleNamespace(planes=two_planes(), trajectory=path()), two_planes()[:1]

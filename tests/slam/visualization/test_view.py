@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from slam.runs.slam_run import run_slam
 from slam.runs.stored_run import StoredRun
 from slam.sensors.log import CloudScan, Log
 from slam.simulation import simulate_mission
+from slam.visualization.open3d_export import planes_to_mesh, vertex_sigmas
 from slam.visualization.pictures import draw_view, position_covariances
 from slam.visualization.report import view_run
 from spplanes import Plane
@@ -71,31 +74,22 @@ def test_pictures_and_page_from_the_folder_alone(run: Path, tmp_path: Path, caps
 
 def test_holes_are_open_in_pictures(tmp_path: Path):
     """A wall of 4 x 2 m with a window, seen face on: colour around the middle, none in it."""
-    frame = transform_from_rpy((0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    planes = [MapPlane(0, Plane(frame, np.eye(3) * 1e-6, 10, WINDOW), WINDOW, 1, ("plane",))]
+    planes = [MapPlane(0, Plane(np.eye(4), np.eye(3) * 1e-6, 10, WINDOW), WINDOW, 1, ("plane",))]
     write_planes(tmp_path / "planes.json", planes)
     write_tum(tmp_path / "trajectory.tum", moving(2, 5.0))
     view_run(tmp_path)
     pixels = imread(tmp_path / "plan.png")[..., :3]
     filled = np.abs(pixels - pixels.max(axis=(0, 1))).sum(axis=2) > 0.05
     rows = np.flatnonzero(filled.mean(axis=1) > 0.5)  # rows of the picture that the wall crosses
-    middle = filled[(rows[0] + rows[-1]) // 2 + 7]
-    inside = np.flatnonzero(middle)
-    assert (~middle[inside[0] : inside[-1]]).sum() > 50
+    middle = np.trim_zeros(filled[(rows[0] + rows[-1]) // 2 + 7])
+    assert (~middle).sum() > 50
 
 
 def test_ellipses_are_turned_into_the_world():
     given = stored()
-    turned = given.trajectory.poses.copy()
-    turned[:] = turned @ transform_from_rpy((0.0, 0.0, 0.0, np.pi / 2, 0.0, 0.0))
-    run = StoredRun(
-        given.folder,
-        [],
-        type(given.trajectory)(given.trajectory.stamps_ns, turned),
-        given.odometry,
-        History(pose_covariances={3: np.diag([1.0, 4.0, 9.0, 1.0, 1.0, 1.0]), 1000: np.eye(6)}),
-        [],
-    )
+    turned = given.trajectory.poses @ transform_from_rpy((0.0, 0.0, 0.0, np.pi / 2, 0.0, 0.0))
+    history = History(pose_covariances={3: np.diag([1.0, 4.0, 9.0, 1.0, 1.0, 1.0]), 1000: np.eye(6)})
+    run = replace(given, trajectory=Trajectory(given.trajectory.stamps_ns, turned), history=history)
     places, covariances = position_covariances(run, run.history)
     np.testing.assert_array_equal(places, turned[[3], :3, 3])
     np.testing.assert_allclose(covariances, [np.diag([4.0, 1.0, 9.0])], atol=1e-12)
@@ -122,6 +116,20 @@ def test_a_run_without_odometry_is_written_and_read(tmp_path: Path):
     assert len(view_run(tmp_path / "run")) == 4
 
 
+def test_deviation_knows_the_signs_of_the_cross_terms():
+    """z = p_z - theta x + psi y: with z and theta fully correlated the plane pivots about x = 1, not x = -1."""
+    plane = Plane(np.eye(4), np.outer([1e-3, 1e-3, 0.0], [1e-3, 1e-3, 0.0]), 10)
+    mesh = SimpleNamespace(vertices=np.array([[1.0, 5.0, 0.0], [-1.0, 5.0, 0.0]]), plane_ids=np.zeros(2, np.int32))
+    sigmas = vertex_sigmas([MapPlane(0, plane, box(-1, -1, 1, 1), 1, ("plane",))], mesh)
+    np.testing.assert_allclose(sigmas, [0.0, 2e-3], atol=1e-12)
+
+
+def test_without_open3d_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(ImportError, match=r"pip install spplanes\[open3d\].*libusb-1.0"):
+        planes_to_mesh([])
+
+
 @pytest.mark.skipif(rerun is None, reason="rerun is not installed: pip install spplanes[rerun]")
 def test_the_recording_has_the_entities(run: Path, tmp_path: Path):
     """Read by Rerun's own reader."""
@@ -130,18 +138,10 @@ def test_the_recording_has_the_entities(run: Path, tmp_path: Path):
     tool = [sys.executable, "-m", "rerun", "rrd"]
     alone = {**os.environ, "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path), "RERUN_TELEMETRY": "0"}
     subprocess.run([*tool, "verify", str(target)], check=True, capture_output=True, env=alone)
-    shown = subprocess.run(
-        [*tool, "print", "-vv", str(target)], check=True, capture_output=True, text=True, env=alone
-    ).stdout
-    for entity in (
-        "/map/plane_7 ",
-        "/map/plane_8/outline",
-        "/trajectory",
-        "/odometry",
-        "/body",
-        "/confidence",
-        "/nis/plane",
-    ):
+    printed = [*tool, "print", "-vv", str(target)]
+    shown = subprocess.run(printed, check=True, capture_output=True, text=True, env=alone).stdout
+    map_, of_the_way = ("/map/plane_7 ", "/map/plane_8/outline"), ("/trajectory", "/odometry", "/body", "/confidence")
+    for entity in (*map_, *of_the_way, "/nis/plane"):
         assert entity in shown, entity
     assert "Mesh3D:vertex_positions" in shown and "keyframe" in shown
 
