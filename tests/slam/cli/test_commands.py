@@ -104,9 +104,7 @@ def test_a_run_of_a_run_is_the_same_bit_for_bit(finished: Path, mission: Path, c
         assert (finished / name).read_bytes() == (again / name).read_bytes(), name
 
 
-def test_a_run_ends_with_its_results_and_what_was_assumed(
-    finished: Path, mission: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_run_ends_with_its_results_and_what_was_assumed(mission: Path, tmp_path: Path, capsys):
     """A log without a rig: what its laser is taken for; times in one line unless all are asked for."""
     shutil.copy(mission / "log.clf.gz", tmp_path / "bare.clf.gz")
     code, out, err = run(capsys, "slam", tmp_path / "bare.clf.gz", "--out", tmp_path / "run")
@@ -135,9 +133,7 @@ def test_explain_says_why(finished: Path, capsys: pytest.CaptureFixture[str]):
     told = json.loads(out)
     assert told["sentences"] == lines[1:] and len(told["observations"]) > 3
     matched = [one for one in told["observations"] if one["verdict"] == "match"]
-    assert matched
-    for one in matched:
-        assert one["landmark"] in [candidate["landmark"] for candidate in one["candidates"]]
+    assert matched and all(one["landmark"] in [c["landmark"] for c in one["candidates"]] for one in matched)
     assert "keyframe: expected an index from 0 to" in refused(capsys, "explain", finished, 99)
     assert run(capsys, "explain", finished, "first")[0] == 2
 
@@ -147,8 +143,8 @@ def test_demo_beats_odometry_and_leaves_a_page(tmp_path: Path, capsys: pytest.Ca
     assert code == 0
     rows = {row["metric"]: row["value"] for row in json.loads(out)}
     assert rows["position error, rmse, estimate"] < 0.5 * rows["position error, rmse, odometry alone"]
-    assert abs(rows["corridor height, estimate"] - rows["corridor height, truth"]) < 0.004
-    assert abs(rows["corridor width, estimate"] - rows["corridor width, truth"]) < 0.004
+    for name in ("corridor height", "corridor width"):
+        assert abs(rows[f"{name}, estimate"] - rows[f"{name}, truth"]) < 0.004
     page = (tmp_path / "demo" / "report.html").read_text()
     assert "data:image/png;base64," in page and "corridor width, truth" in page
     assert "http://" not in page and "https://" not in page

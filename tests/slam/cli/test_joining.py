@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -47,20 +48,16 @@ def test_join_writes_a_run_of_all_missions(runs: list[Path], tmp_path: Path, cap
     assert (out / "missions.png").exists() and (out / "report.html").exists()
 
 
-def test_what_cannot_be_used_is_named_and_left_out(
-    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    damaged, newer = tmp_path / "damaged", tmp_path / "newer"
+def test_what_cannot_be_used_is_named_and_left_out(runs: list[Path], tmp_path: Path, capsys):
+    damaged, newer, nothing = (tmp_path / name for name in ("damaged", "newer", "nothing"))
     for folder in (damaged, newer):
         shutil.copytree(runs[1], folder)
     data = bytearray((damaged / "session.db").read_bytes())
     middle = len(data) // 2
     data[middle : middle + 4000] = bytes(4000)
     (damaged / "session.db").write_bytes(data)
-    with sqlite3.connect(newer / "session.db") as connection:
+    with closing(sqlite3.connect(newer / "session.db")) as connection:
         connection.execute("PRAGMA user_version = 99")
-    connection.close()
-    nothing = tmp_path / "nothing"
     given = [runs[0], damaged, newer, nothing, runs[2], runs[1]]
     code, _, told = run(capsys, "join", *given, "--out", tmp_path / "map")
     assert code == 0, told
@@ -73,10 +70,12 @@ def test_what_cannot_be_used_is_named_and_left_out(
 
 
 def test_bad_input_is_one_sentence(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert "at least two" in refused(capsys, "join", runs[0], "--out", tmp_path / "map")
-    assert "twice" in refused(capsys, "join", runs[0], runs[0], "--out", tmp_path / "map")
+    for words, sentence in (
+        ([runs[0]], "at least two"),
+        ([runs[0], runs[0]], "twice"),
+        ([tmp_path / "a", tmp_path / "b"], "none that can be used"),
+        ([*runs[:2], "--significance", "2"], "(0, 0.5)"),
+    ):
+        assert sentence in refused(capsys, "join", *words, "--out", tmp_path / "map")
     assert "exists already" in refused(capsys, "join", *runs[:2], "--out", runs[2])
-    told = refused(capsys, "join", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "map")
-    assert "none that can be used" in told
-    assert "(0, 0.5)" in refused(capsys, "join", *runs[:2], "--significance", "2", "--out", tmp_path / "map")
     assert not (tmp_path / "map").exists()

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from slam.config import SlamConfig
 from slam.session.opening import SESSION_FILE
+from slam.session.store import Session
 
 #: Each takes a tenth of a second and more to import; pydantic, which typer needs, is not among them.
 HEAVY = ("numpy", "numba", "gtsam", "scipy", "shapely", "matplotlib", "open3d", "rich")
@@ -61,9 +63,8 @@ def folder(tmp_path: Path) -> Path:
 
 def ran(words: list[str], folder: Path, code: str = CHILD) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    return subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", code, *words]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize(("command", "sentence"), REFUSED)
@@ -81,28 +82,21 @@ def test_printing_imports_nothing_heavy(command: str, folder: Path):
 
 
 def test_a_run_that_is_not_finished_is_told_of_without_reading_it(folder: Path):
-    code = (
-        "from slam.config import SlamConfig; from slam.session.store import Session; Session.create(%r, SlamConfig())"
-    )
-    ran([], folder, code % str(folder / "run" / SESSION_FILE)).check_returncode()
+    Session.create(folder / "run" / SESSION_FILE, SlamConfig()).close()
     done = ran(["slam", "log", "--out", "run"], folder)
     assert done.returncode == 2 and "is not finished" in done.stderr
     assert "numba" not in done.stdout and "gtsam" not in done.stdout
 
 
-def test_factors_are_imported_without_numba(folder: Path):
-    code = "import sys, factors, gtsam; print({'numba', 'scipy', 'shapely'} & set(sys.modules))"
-    assert ran([], folder, code).stdout == "set()\n"
-    code = "from factors import *; print(len([plane_factor, landmark_hesse, copy_graph]))"
-    assert ran([], folder, code).stdout == "3\n"
-
-
-def test_the_library_is_imported_without_numba_and_gtsam(folder: Path):
-    code = "import sys, spplanes, slam; print({'numba', 'gtsam', 'numpy'} & set(sys.modules))"
-    assert ran([], folder, code).stdout == "set()\n"
-
-
-def test_a_run_takes_no_distributions_of_scipy(folder: Path):
-    """They take 0.7 s to import; `scipy.special` has what is needed of them, to the same bits."""
-    code = "import sys, slam.runs.slam_run, slam.output.run_files; print('scipy.stats' in sys.modules)"
-    assert ran([], folder, code).stdout == "False\n"
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("import sys, factors, gtsam; print({'numba', 'scipy', 'shapely'} & set(sys.modules))", "set()"),
+        ("from factors import *; print(len([plane_factor, landmark_hesse, copy_graph]))", "3"),
+        ("import sys, spplanes, slam; print({'numba', 'gtsam', 'numpy'} & set(sys.modules))", "set()"),
+        # the distributions take 0.7 s to import; `scipy.special` has what is needed of them, to the same bits
+        ("import sys, slam.runs.slam_run, slam.output.run_files; print('scipy.stats' in sys.modules)", "False"),
+    ],
+)
+def test_what_is_imported_takes_nothing_along_that_it_does_not_need(code: str, said: str, folder: Path):
+    assert ran([], folder, code).stdout == f"{said}\n"

@@ -13,6 +13,12 @@ from slam.io.trajectories import Trajectory, read_tum, write_tum
 from slam.sensors.rig import Mount, Rig
 from slam.simulation import VERTICAL, simulate_mission
 from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
+
+
+def values_of(found):
+    """Of all that was scored, by name."""
+    return {row.name: row.value for row in found.rows}
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +44,12 @@ def test_a_perfect_run_scores_perfectly_wherever_its_world_lies(mission, tmp_pat
     mission.save(tmp_path / "mission")
     run = run_of(tmp_path / "run", mission, planar_transform(5.0, -3.0, 2.0))
     for truth in (tmp_path / "mission", tmp_path / "mission" / "truth"):
-        values = {row.name: row.value for row in compare_with_truth(run, truth).rows}
+        values = values_of(compare_with_truth(run, truth))
         assert values["ATE translation max"] < 1e-9 and values["RPE over 1 m translation max"] < 1e-9
         assert values["planes missed"] == values["planes duplicate"] == values["planes invented"] == 0.0
         assert values["plane angle max"] < 1e-5 and values["plane distance max"] < 1e-9
         assert values["odometry alone: ATE from the first pose, translation rmse"] > 1e-3
-    values = {
-        row.name: row.value for row in compare_with_truth(run, tmp_path / "mission" / "truth" / "trajectory.tum").rows
-    }
+    values = values_of(compare_with_truth(run, tmp_path / "mission" / "truth" / "trajectory.tum"))
     assert values["ATE rotation max"] < 1e-5 and "planes missed" not in values
 
 
@@ -67,10 +71,10 @@ def test_poses_at_every_scan_are_scored_where_the_run_has_them(mission, tmp_path
     write_tum(run / "scans.tum", Trajectory(stamps, poses))
     after = compare_with_truth(run, tmp_path / "my.relations")
     assert after.notes == ["scored 3 of 3 relations, by scans.tum"]
-    assert {row.name: row.value for row in after.rows}["relations translation max"] < 1e-6
-    notes = compare_with_truth(run, tmp_path / "truth.tum").notes
-    assert any(one.startswith("odometry alone errs by") and "more than the estimate" in one for one in notes)
-    rows = {row.name: row.value for row in compare_with_truth(run, tmp_path / "truth.tum").rows}
+    assert values_of(after)["relations translation max"] < 1e-6
+    found = compare_with_truth(run, tmp_path / "truth.tum")
+    assert any(one.startswith("odometry alone errs by") and "more than the estimate" in one for one in found.notes)
+    rows = values_of(found)
     assert rows["poses compared"] == rows["poses of the run"] == rows["poses of the truth"] == len(stamps)
     assert "odometry alone: poses compared" in rows
 
@@ -81,13 +85,12 @@ def test_a_truth_of_other_times_is_refused_and_taken_by_row_only_when_asked(miss
     path = read_tum(run / "trajectory.tum")
     off = tmp_path / "off.tum"
     write_tum(off, Trajectory(path.stamps_ns + 500_000 * 10**9, path.poses))
-    with pytest.raises(
-        ValueError, match=r"truth: expected times in common with the estimate \(12 poses from 1000\.\d+"
-    ):
+    message = r"truth: expected times in common with the estimate \(12 poses from 1000\.\d+"
+    with pytest.raises(ValueError, match=message):
         compare_with_truth(run, off)
     found = compare_with_truth(run, off, by_row=True)
     assert found.notes[0] == "off.tum was taken row by row, whatever its times"
-    assert {row.name: row.value for row in found.rows}["ATE translation max"] < 1e-9
+    assert values_of(found)["ATE translation max"] < 1e-9
     write_tum(off, Trajectory(path.stamps_ns[:5], path.poses[:5]))
     with pytest.raises(ValueError, match=r"off\.tum: expected, by row, as many poses as the run's 12, got 5"):
         compare_with_truth(run, off, by_row=True)
@@ -100,20 +103,17 @@ def test_few_poses_are_said_and_turn_no_rotation(tmp_path):
     """Five poses on a line leave the turn about it open to positions alone: it was 144 deg without a word."""
     stamps = np.arange(5) * 10**9
     true = np.array([planar_transform(0.3 * k, 0.0, 0.1 * k) for k in range(5)])
-    rng = np.random.default_rng(0)
     seen = true.copy()
-    seen[:, :3, 3] += 1e-3 * rng.standard_normal((5, 3))
+    seen[:, :3, 3] += 1e-3 * np.random.default_rng(0).standard_normal((5, 3))
     (tmp_path / "run").mkdir()
     write_tum(tmp_path / "run" / "trajectory.tum", Trajectory(stamps, seen))
     write_tum(tmp_path / "truth.tum", Trajectory(stamps, true))
     found = compare_with_truth(tmp_path / "run", tmp_path / "truth.tum")
-    rows = {row.name: row.value for row in found.rows}
+    rows = values_of(found)
     assert rows["ATE rotation max"] < 0.5 and rows["ATE translation max"] < 3e-3
-    assert found.notes[1] == (
-        "few poses: alignment takes 6 of their 15 coordinates, the errors themselves are known to 24 % only"
-    )
-    many = np.arange(40) * 10**9
-    path = Trajectory(many, np.array([planar_transform(0.3 * k, 0.0, 0.1 * k) for k in range(40)]))
+    few = "few poses: alignment takes 6 of their 15 coordinates, the errors themselves are known to 24 % only"
+    assert found.notes[1] == few
+    path = Trajectory(np.arange(40) * 10**9, np.array([planar_transform(0.3 * k, 0.0, 0.1 * k) for k in range(40)]))
     write_tum(tmp_path / "run" / "trajectory.tum", path)
     write_tum(tmp_path / "truth.tum", path)
     assert len(compare_with_truth(tmp_path / "run", tmp_path / "truth.tum").notes) == 1
@@ -121,35 +121,31 @@ def test_few_poses_are_said_and_turn_no_rotation(tmp_path):
 
 def camera_run(folder, body_T_camera):
     """A run of a depth camera that got everything right, and the truth of its camera."""
-    run = folder / "run"
-    run.mkdir()
+    (run := folder / "run").mkdir()
     stamps = np.arange(40) * 10**9
     body = np.array([planar_transform(2.0 * np.sin(0.2 * k), 0.3 * k, 0.2 * k) for k in range(40)])
     write_tum(run / "trajectory.tum", Trajectory(stamps, body))
     camera = depth_rig().sensors["camera"].model_copy(update={"mount": Mount(matrix=tuple(map(tuple, body_T_camera)))})
     Rig(sensors={"camera": camera}).to_yaml(run / "rig.yaml")
-    (folder / "images" / "depth").mkdir(parents=True)
+    for name in ("depth", "truth"):
+        (folder / "images" / name).mkdir(parents=True)
     (folder / "images" / "intrinsics.txt").write_text("525 525 320 240\n")
     (folder / "images" / "depth" / "1.png").write_bytes(b"")
-    (folder / "images" / "truth").mkdir()
     return run, Trajectory(stamps, planar_transform(1.0, 2.0, 0.4) @ body @ body_T_camera)
 
 
 @pytest.mark.parametrize("place", ["images", "images/truth"])
 def test_groundtruth_beside_depth_images_is_of_the_camera(tmp_path, place):
     """x right, y down, z forward against x forward, y left, z up: axes compared as they are, 120 deg of error."""
-    body_T_camera = CAMERA_MOUNT.copy()
-    body_T_camera[:3, 3] = 0.2, -0.1, 1.1
-    run, truth = camera_run(tmp_path, body_T_camera)
+    run, truth = camera_run(tmp_path, transform_from_rpy((0.2, -0.1, 1.1, 0.0, 0.0, 0.0)) @ CAMERA_MOUNT)
     file = tmp_path / place / "groundtruth.txt"
     write_tum(file, truth)
     found = compare_with_truth(run, file)
-    rows = {row.name: row.value for row in found.rows}
+    rows = values_of(found)
     assert rows["ATE rotation max"] < 1e-4 and rows["ATE translation max"] < 1e-9
-    assert found.notes[0] == (
-        "groundtruth.txt is of the sensor 'camera': moved to the body by the mount in the run's rig"
-    )
-    as_body = {row.name: row.value for row in compare_with_truth(run, file, truth_of="body").rows}
+    moved = "groundtruth.txt is of the sensor 'camera': moved to the body by the mount in the run's rig"
+    assert found.notes[0] == moved
+    as_body = values_of(compare_with_truth(run, file, truth_of="body"))
     assert as_body["ATE from the first pose, rotation max"] > 20.0
 
 
@@ -157,10 +153,9 @@ def test_whose_poses_a_truth_has_can_be_said(tmp_path):
     run, truth = camera_run(tmp_path, CAMERA_MOUNT)
     write_tum(tmp_path / "mocap.tum", truth)
     for told in ("sensor", "camera"):
-        rows = {row.name: row.value for row in compare_with_truth(run, tmp_path / "mocap.tum", truth_of=told).rows}
-        assert rows["ATE rotation max"] < 1e-4
-    unmoved = {row.name: row.value for row in compare_with_truth(run, tmp_path / "mocap.tum").rows}
-    assert unmoved["ATE rotation max"] > 20.0
+        found = compare_with_truth(run, tmp_path / "mocap.tum", truth_of=told)
+        assert values_of(found)["ATE rotation max"] < 1e-4
+    assert values_of(compare_with_truth(run, tmp_path / "mocap.tum"))["ATE rotation max"] > 20.0
     with pytest.raises(ValueError, match=r"truth_of: expected 'body', 'sensor' or one of .* \(camera\), got 'lidar'"):
         compare_with_truth(run, tmp_path / "mocap.tum", truth_of="lidar")
     (run / "rig.yaml").unlink()

@@ -47,10 +47,8 @@ def test_a_plane_along_the_face_of_a_cube_is_not_taken_for_a_thin_one():
 
 def test_neither_world_matters():
     clouds, poses = scans_of_a_room(3, 0.01)
-    turn = np.eye(4)
-    turn[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    turn[:3, 3] = (100.0, 3.0, -7.0)
-    found = compare_sharpness(clouds, poses, turn @ poses)
+    elsewhere = transform_from_rpy((100.0, 3.0, -7.0, np.pi / 2.0, 0.0, 0.0))
+    found = compare_sharpness(clouds, poses, elsewhere @ poses)
     assert found.reference_m == pytest.approx(found.estimate_m, rel=1e-9)
 
 

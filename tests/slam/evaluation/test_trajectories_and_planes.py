@@ -20,39 +20,37 @@ from slam.geometry.frames import planar_transform
 from slam.io.carmen import read_carmen
 from slam.io.trajectories import Trajectory, read_tum
 from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
 from tests.slam.real_data import needs
 
 
 def helix(n=60):
-    angles = np.linspace(0.0, 5.0, n)
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, :3, :3] = Rotation.from_euler("z", angles[:, None]).as_matrix()
-    poses[:, :3, 3] = np.column_stack([4.0 * np.sin(angles), -4.0 * np.cos(angles), 0.3 * angles])
-    return Trajectory(np.arange(n) * 10**8, poses)
+    places = [(4.0 * np.sin(a), -4.0 * np.cos(a), 0.3 * a, a, 0.0, 0.0) for a in np.linspace(0.0, 5.0, n)]
+    return Trajectory(np.arange(n) * 10**8, np.array([transform_from_rpy(place) for place in places]))
 
 
 def moved(trajectory, transform):
     return Trajectory(trajectory.stamps_ns, transform @ trajectory.poses)
 
 
-def some_transform():
-    transform = np.eye(4)
-    transform[:3, :3] = Rotation.from_euler("ZYX", [2.0, 0.4, -0.3]).as_matrix()
-    transform[:3, 3] = 5.0, -6.0, 7.0
-    return transform
+SOME_TRANSFORM = transform_from_rpy((5.0, -6.0, 7.0, 2.0, 0.4, -0.3))
+
+
+def values_of(rows):
+    return {row.name: row.value for row in rows}
 
 
 def test_alignment_takes_out_where_the_world_lies():
     truth = helix()
-    errors = absolute_error(moved(truth, some_transform()), truth)
+    errors = absolute_error(moved(truth, SOME_TRANSFORM), truth)
     assert errors.translation_m.max() < 1e-12 and errors.rotation_rad.max() < 1e-12
-    first = absolute_error(moved(truth, some_transform()), truth, alignment="first")
+    first = absolute_error(moved(truth, SOME_TRANSFORM), truth, alignment="first")
     assert first.translation_m.max() < 1e-12
     raw = absolute_error(moved(truth, planar_transform(3.0, 4.0, 0.0)), truth, alignment="none")
     np.testing.assert_allclose(raw.translation_m, 5.0)
     flat = absolute_error(moved(truth, planar_transform(3.0, 4.0, 1.0)), truth, alignment="se2")
     assert flat.translation_m.max() < 1e-12
-    tilted = absolute_error(moved(truth, some_transform()), truth, alignment="se2")
+    tilted = absolute_error(moved(truth, SOME_TRANSFORM), truth, alignment="se2")
     assert tilted.translation_m.max() > 0.5
     with pytest.raises(ValueError, match="alignment: expected 'se3'"):
         absolute_error(truth, truth, alignment="sim3")  # type: ignore[arg-type]
@@ -67,12 +65,12 @@ def test_a_way_on_a_line_is_aligned_by_its_orientations_too():
     off = poses.copy()
     off[:, :3, 3] += rng.normal(0.0, 0.01, (10, 3))
     off[:, :3, :3] = Rotation.from_rotvec(rng.normal(0.0, 1e-3, (10, 3))).as_matrix()
-    truth, estimate = Trajectory(stamps, poses), Trajectory(stamps, some_transform() @ off)
+    truth, estimate = Trajectory(stamps, poses), Trajectory(stamps, SOME_TRANSFORM @ off)
     by_positions = absolute_error(estimate, truth).rotation_rad
     by_poses = absolute_error(estimate, truth, alignment="poses")
     assert by_positions.max() > 0.01
     assert by_poses.rotation_rad.max() < 4e-3 and by_poses.translation_m.max() < 0.04
-    exact = absolute_error(moved(truth, some_transform()), truth, alignment="poses")
+    exact = absolute_error(moved(truth, SOME_TRANSFORM), truth, alignment="poses")
     assert exact.rotation_rad.max() < 1e-6 and exact.translation_m.max() < 1e-9
 
 
@@ -90,10 +88,8 @@ def test_statistics_of_absolute_errors():
     poses[:, 2, 3] += [0.0, 0.0, 0.1, 0.3]
     rows = absolute_error(Trajectory(truth.stamps_ns, poses), truth, alignment="none").metrics("ATE")
     values = {row.name: (row.value, row.unit) for row in rows}
-    assert values["ATE translation rmse"] == (pytest.approx(np.sqrt(0.025)), "m")
-    assert values["ATE translation median"] == (pytest.approx(0.05), "m")
-    assert values["ATE translation mean"] == (pytest.approx(0.1), "m")
-    assert values["ATE translation max"] == (pytest.approx(0.3), "m")
+    for name, value in (("rmse", np.sqrt(0.025)), ("median", 0.05), ("mean", 0.1), ("max", 0.3)):
+        assert values[f"ATE translation {name}"] == (pytest.approx(value), "m")
     assert values["ATE rotation max"][0] < 1e-12 and values["ATE rotation max"][1] == "deg"
 
 
@@ -108,7 +104,7 @@ def test_turning_on_the_spot_is_no_error_of_position():
 def test_relative_error_sees_drift_and_not_the_frame():
     truth = Trajectory(np.arange(101), np.array([planar_transform(0.1 * k, 0.0, 0.0) for k in range(101)]))
     stretched = Trajectory(truth.stamps_ns, np.array([planar_transform(0.11 * k, 0.0, 0.0) for k in range(101)]))
-    errors = relative_error(moved(stretched, some_transform()), truth, way_m=0.95)
+    errors = relative_error(moved(stretched, SOME_TRANSFORM), truth, way_m=0.95)
     assert errors.translation_m.size == 91
     np.testing.assert_allclose(errors.translation_m, 0.1, atol=1e-9)
     assert relative_error(truth, truth, way_m=1000.0).translation_m.size == 0
@@ -146,13 +142,13 @@ def test_known_scores_of_the_intel_log():
     reference = read_tum(needs("intel/reference.tum"))
     odometry = read_carmen(needs("intel/intel.clf.gz")).odometry
     raw = Trajectory(np.array([r.stamp_ns for r in odometry]), np.array([r.odom_T_body for r in odometry]))
-    scores = [{row.name: row.value for row in relation_metrics(t, relations)} for t in (reference, raw)]
+    scores = [values_of(relation_metrics(trajectory, relations)) for trajectory in (reference, raw)]
     assert scores[0]["relations found"] == scores[1]["relations found"] == 97
     assert round(scores[0]["relations translation mean"], 3) == 0.036
     assert round(scores[0]["relations rotation mean"], 2) == 0.56
     assert round(scores[1]["relations translation mean"], 1) == 3.2
     assert int(scores[1]["relations rotation mean"]) == 17
-    ate = {row.name: row.value for row in absolute_error(raw, reference).metrics("ATE")}
+    ate = values_of(absolute_error(raw, reference).metrics("ATE"))
     # What evo 1.x prints for the same two files: evo_ape tum -a, and with -r angle_deg
     assert ate["ATE translation rmse"] == pytest.approx(24.017560, abs=1e-6)
     assert ate["ATE translation median"] == pytest.approx(17.277707, abs=1e-6)
@@ -182,29 +178,24 @@ def test_plane_metrics_count_duplicates_missed_and_invented():
     truth = [plane((0, 0, 1), 0.0, patch), plane((0, 0, -1), -2.7, patch), plane((1, 0, 0), -3.0, patch)]
     tilted = np.array([np.sin(0.01), 0.0, np.cos(0.01)])
     found = [plane((0, 0, 1), 0.01, patch), plane(tilted, 0.0, patch), plane((0, 1, 0), 9.0, patch)]
-    values = {row.name: row.value for row in plane_metrics(found, truth)}
+    values = values_of(plane_metrics(found, truth))
     assert values["planes estimated"] == values["planes true"] == 3
     assert values["planes missed"] == pytest.approx(200.0 / 3.0)
     assert values["planes duplicate"] == pytest.approx(50.0)
     assert values["planes invented"] == pytest.approx(100.0 / 3.0)
     assert values["plane angle max"] == pytest.approx(np.rad2deg(0.01))
     assert values["plane distance max"] == pytest.approx(0.01)
-    some = {row.name: row.value for row in plane_metrics(found, truth, visible={0, 1})}
+    some = values_of(plane_metrics(found, truth, visible={0, 1}))
     assert some["planes true"] == 2 and some["planes missed"] == pytest.approx(50.0)
-    empty = {row.name: row.value for row in plane_metrics([], truth)}
+    empty = values_of(plane_metrics([], truth))
     assert empty["planes missed"] == 100.0 and np.isnan(empty["plane angle median"])
 
 
 def test_outlines_are_compared_in_one_frame():
     """The same patch described in two frames of one plane overlaps with itself."""
-    frame = np.eye(4)
-    frame[:3, :3] = Rotation.from_euler("z", 40, degrees=True).as_matrix()
-    frame[:2, 3] = 3.0, 1.0
-    corners = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 1.0], [0.0, 1.0]])
-    inside = (corners - frame[:2, 3]) @ frame[:2, :2]
+    frame, corners = planar_transform(3.0, 1.0, np.deg2rad(40.0)), np.array([[0, 0], [4, 0], [4, 1], [0, 1]])
+    inside = Polygon((corners - frame[:2, 3]) @ frame[:2, :2])
     a = Plane(np.eye(4), np.eye(3), outline=Polygon(corners))
-    b = Plane(frame, np.eye(3), outline=Polygon(inside))
-    assert len(match_planes([b], [a])) == 1
-    shifted = frame.copy()
-    shifted[:2, 3] += 4.0
-    assert match_planes([Plane(shifted, np.eye(3), outline=Polygon(inside))], [a]) == []
+    assert len(match_planes([Plane(frame, np.eye(3), outline=inside)], [a])) == 1
+    shifted = planar_transform(4.0, 4.0, 0.0) @ frame
+    assert match_planes([Plane(shifted, np.eye(3), outline=inside)], [a]) == []
