@@ -53,10 +53,8 @@ class Measured:
         suite, rig = Suite.drawn(np.random.default_rng(seed), rooms_a_side=rooms_a_side), spinning_rig()
         sensor = rig.sensors[SPINNING].model_copy(update={"range_sigma_m": range_sigma_m})
         rig = rig.model_copy(update={"sensors": {SPINNING: sensor}})
-        path = suite.path()
-        log, truth = record(
-            Plan("suite", suite.world(), path, rig, spacing_m), int(path.length_m / spacing_m) + 1, seed
-        )
+        plan = Plan("suite", suite.world(), suite.path(), rig, spacing_m)
+        log, truth = record(plan, int(plan.path.length_m / spacing_m) + 1, seed)
         return cls(suite, rig, list(keyframes_of(log, rig, SlamConfig())), truth, seed)
 
     def drawn(self) -> list[Keyframe]:

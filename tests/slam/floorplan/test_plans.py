@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from scipy.spatial.transform import Rotation
 
 from slam.floorplan import JointPlanes, floor_plan
 from slam.floorplan.plan import StoreyPlan
+from slam.geometry.frames import planar_transform
 from slam.simulation.world import WorldBuilder
 from spplanes import Plane
+from spplanes.spmodel import transform_from_rpy
 from tests.slam.floorplan.buildings import joint_of, moved, planes_of
 from tests.statistics import assert_mean_in_band
 
@@ -23,6 +24,10 @@ RANK = 1e-4
 def only(joint: JointPlanes) -> StoreyPlan:
     (storey,) = floor_plan(joint).storeys
     return storey
+
+
+def areas(plan: StoreyPlan) -> list[float]:
+    return sorted(room.area.value for room in plan.rooms)
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> list[Plane]:
@@ -48,7 +53,7 @@ def test_of_what_has_no_walls_there_is_no_plan():
 
 def test_a_suite_is_measured():
     plan = only(joint_of(planes_of()))
-    assert sorted(room.area.value for room in plan.rooms) == pytest.approx([12.0, 12.0, 17.5])
+    assert areas(plan) == pytest.approx([12.0, 12.0, 17.5])
     assert all(len(room.rings) == 1 and len(room.rings[0]) == 4 and len(room.widths) == 2 for room in plan.rooms)
     assert [room.height.value for room in plan.rooms if room.height] == pytest.approx([2.5] * 3)
     largest = plan.rooms[0]
@@ -64,11 +69,7 @@ def test_a_suite_is_measured():
 
 def test_a_tilted_world_gives_the_same_plan():
     """A first pose that is not level: the floor says what is upright."""
-    tilt = np.eye(4)
-    tilt[:3, :3], tilt[:3, 3] = (
-        Rotation.from_euler("xyz", (12.0, -7.0, 30.0), degrees=True).as_matrix(),
-        (5.0, 2.0, 1.0),
-    )
+    tilt = transform_from_rpy((5.0, 2.0, 1.0, *np.deg2rad((30.0, -7.0, 12.0))))
     straight, tilted = (only(joint_of(p)) for p in (planes_of(), [one.transform(tilt) for one in planes_of()]))
     for a, b in zip(straight.rooms, tilted.rooms, strict=True):
         assert a.area.value == pytest.approx(b.area.value, abs=1e-9)
@@ -132,8 +133,7 @@ def test_a_wall_through_two_storeys_is_in_both():
 
 def test_what_does_not_reach_the_ceiling_is_no_wall():
     closet = box((0.4, 3.6, 0.0), (2.0, 4.2, 2.0))
-    plan = only(joint_of(planes_of() + closet))
-    assert sorted(room.area.value for room in plan.rooms) == pytest.approx([12.0, 12.0, 17.5])
+    assert areas(only(joint_of(planes_of() + closet))) == pytest.approx([12.0, 12.0, 17.5])
 
 
 def test_a_pillar_is_a_hole_in_its_room():
@@ -146,7 +146,7 @@ def test_a_room_whose_wall_was_not_seen_is_not_named():
     planes = [one for one in planes_of() if not is_face(one, 1, 4.2)]
     assert len(planes) == len(planes_of()) - 1
     plan = only(joint_of(planes))
-    assert sorted(room.area.value for room in plan.rooms) == pytest.approx([12.0, 17.5])
+    assert areas(plan) == pytest.approx([12.0, 17.5])
     assert all(room.middle[1] < 1.2 for room in plan.rooms)
 
 
@@ -155,15 +155,11 @@ def test_a_wall_seen_from_one_side_has_no_thickness():
     planes = [one for one in planes_of() if one.centre[1] < 1.15 or abs(one.normal[2]) > 0.9]
     plan = only(joint_of(planes))
     assert len(plan.walls) == 1
-    single = [face for face, _ in plan.single if is_face(joint_plane(planes, face.plane), 1, 1.0)]
+    single = [face for face, _ in plan.single if is_face(planes[face.plane], 1, 1.0)]
     assert len(single) == 1
     door = next(one for one in plan.openings if one.face is single[0])
     assert door.wall is None and door.width is not None and door.width.value == pytest.approx(0.9)
     assert door.depth_m == pytest.approx(0.2)
-
-
-def joint_plane(planes: list[Plane], index: int) -> Plane:
-    return planes[index]
 
 
 def test_without_jambs_an_opening_has_no_measured_width():
@@ -178,8 +174,7 @@ def test_without_jambs_an_opening_has_no_measured_width():
 
 def test_faces_that_are_not_parallel_are_not_of_one_wall():
     """An angle of 2 degrees is beyond noise and building; within the noise of planes that are badly known it is not."""
-    turned = np.eye(4)
-    turned[:3, :3] = Rotation.from_euler("z", 2.0, degrees=True).as_matrix()
+    turned = planar_transform(0.0, 0.0, np.deg2rad(2.0))
     planes = [one.transform(turned) if is_face(one, 1, 1.2) else one for one in planes_of()]
     assert len(only(joint_of(planes, sigma=1e-4)).walls) == 1
     assert len(only(joint_of(planes, sigma=5e-2)).walls) == 2
@@ -195,6 +190,5 @@ def test_a_level_laser_alone_gives_rooms_without_height():
         across = np.array([[-9.0, 9.0], [9.0, -9.0]]) @ np.diag([up[1], up[0]]) + (1.3 - there) * up
         lines.append(replace(one, seen=shapely.intersection(one.seen, shapely.LineString(across)), kinds=("line",)))
     plan = only(JointPlanes(tuple(lines), joint.hesse, joint.covariance))
-    assert plan.elevation is None
-    assert sorted(room.area.value for room in plan.rooms) == pytest.approx([12.0, 12.0, 17.5])
+    assert plan.elevation is None and areas(plan) == pytest.approx([12.0, 12.0, 17.5])
     assert [room.height for room in plan.rooms] == [None] * 3

@@ -126,9 +126,8 @@ def test_an_ifc_has_every_value_and_its_standard_deviation(plan: FloorPlan, tmp_
         for k, wall in enumerate(storey.walls):
             read = by_name[f"storey {number}/wall {k + 1}"]
             assert read.pop("OtherSideSeen") is True
-            assert read == pytest.approx(
-                {"Thickness": wall.thickness.value, "ThicknessStandardDeviation": wall.thickness.sigma}
-            )
+            told = {"Thickness": wall.thickness.value, "ThicknessStandardDeviation": wall.thickness.sigma}
+            assert read == pytest.approx(told)
         assert len([name for name in by_name if name.startswith(f"storey {number}/opening")]) == 2
     upper = plan.storeys[1].elevation
     assert upper is not None and by_name["storey 1"]["ElevationStandardDeviation"] == pytest.approx(upper.sigma)
@@ -145,20 +144,20 @@ def test_an_ifc_is_valid_and_has_the_volumes(plan: FloorPlan, tmp_path: Path):
     file, logger = ifc.open(tmp_path / "one.ifc"), validate.json_logger()
     validate.validate(file, logger)
     assert logger.statements == []
-    volumes = [shape.get_volume(geom.create_shape(geom.settings(), one).geometry) for one in file.by_type("IfcSpace")]
-    assert sorted(volumes) == pytest.approx(sorted(2.5 * area for area in (12.0, 12.0, 17.5) * 2))
+
+    def volumes(things) -> list[float]:
+        return [shape.get_volume(geom.create_shape(geom.settings(), one).geometry) for one in things]
+
+    assert sorted(volumes(file.by_type("IfcSpace"))) == pytest.approx([30.0] * 4 + [43.75] * 2)
     solid = [one for one in file.by_type("IfcWall") if one.PredefinedType == "SOLIDWALL"]
-    volumes = [shape.get_volume(geom.create_shape(geom.settings(), one).geometry) for one in solid]
-    assert sorted(volumes[:2]) == pytest.approx([0.2 * (4.0 * 2.5 - 0.9 * 2.05), 0.2 * (5.0 * 2.5 - 1.0 * 2.05)])
+    assert sorted(volumes(solid[:2])) == pytest.approx([0.2 * (4.0 * 2.5 - 0.9 * 2.05), 0.2 * (5.0 * 2.5 - 1.0 * 2.05)])
     assert [one.Elevation for one in file.by_type("IfcBuildingStorey")] == pytest.approx([0.0, 3.0])
 
 
 @pytest.mark.parametrize(
     ("write", "package", "name"), [(write_dxf, "ezdxf", "plan.dxf"), (write_ifc, "ifcopenshell", "plan.ifc")]
 )
-def test_a_package_that_is_missing_is_named(
-    write, package: str, name: str, plan: FloorPlan, tmp_path: Path, monkeypatch
-):
+def test_a_package_that_is_missing_is_named(write, package, name, plan: FloorPlan, tmp_path: Path, monkeypatch):
     for module in [module for module in sys.modules if module.split(".")[0] == package]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
@@ -209,21 +208,23 @@ def test_the_plan_of_a_run_is_that_of_its_planes(run: Path):
     assert [one.id for one in plan.joint.planes] == [one.id for one in stored.planes]
 
 
+def copied(run: Path, folder: Path, *names: str) -> Path:
+    """Some files of a run in another folder."""
+    folder.mkdir()
+    for name in names:
+        (folder / name).write_bytes((run / name).read_bytes())
+    return folder
+
+
 def test_a_run_without_session_says_so(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    for name in ("planes.json", "trajectory.tum", "metrics.json"):
-        (bare / name).write_bytes((run / name).read_bytes())
+    bare = copied(run, tmp_path / "bare", "planes.json", "trajectory.tum", "metrics.json")
     assert command("export", bare, "--to", tmp_path / "plan.svg") == 2
     assert "expected a run with its session.db, from which the joint covariance" in capsys.readouterr().err
     assert not (tmp_path / "plan.svg").exists()
 
 
 def test_planes_that_are_not_the_session_s_are_refused(run: Path, tmp_path: Path):
-    other = tmp_path / "other"
-    other.mkdir()
-    for name in ("trajectory.tum", "metrics.json", "session.db"):
-        (other / name).write_bytes((run / name).read_bytes())
+    other = copied(run, tmp_path / "other", "trajectory.tum", "metrics.json", "session.db")
     planes = json.loads((run / "planes.json").read_text())
     planes["planes"] = planes["planes"][1:]
     (other / "planes.json").write_text(json.dumps(planes))

@@ -47,11 +47,12 @@ def test_the_floor_is_level_and_all_else_as_it_was():
     turn = found.moved_by
     assert turn is not None and not turn[:3, 3].any() and np.linalg.det(turn[:3, :3]) == pytest.approx(1.0)
     assert turn[1, 0] == pytest.approx(0.0, abs=1e-12) and turn[0, 0] > 0.9  # x goes where it went
+    before, after = run.trajectory.poses, found.trajectory.poses
     for ours, theirs in zip(found.planes, run.planes, strict=True):
         np.testing.assert_array_equal(ours.plane.covariance, theirs.plane.covariance)
         assert ours.seen is theirs.seen and ours.id == theirs.id
-        np.testing.assert_allclose(found.trajectory.poses[0, :3, 3] @ ours.plane.normal - ours.plane.d,
-                                   run.trajectory.poses[0, :3, 3] @ theirs.plane.normal - theirs.plane.d)  # fmt: skip
+        gaps = [one.distance(poses[0, :3, 3]) for one, poses in ((ours.plane, after), (theirs.plane, before))]
+        assert gaps[0] == pytest.approx(gaps[1], rel=1e-7)
     for i, j in combinations(range(3), 2):
         before, after = ([one.planes[k].plane for k in (i, j)] for one in (run, found))
         assert after[0].mahalanobis(after[1]) == pytest.approx(before[0].mahalanobis(before[1]), rel=1e-6)
