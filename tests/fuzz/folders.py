@@ -7,7 +7,7 @@ import struct
 import tempfile
 from contextlib import closing
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import islice, product
 from pathlib import Path
 
@@ -34,16 +34,27 @@ from slam.session.store import Session, salvage_session
 from slam.simulation import simulate_mission
 from slam.simulation.record import Truth
 from spplanes import ScanLine
-from tests.fuzz.target import Target, check_log, check_plane, check_points, check_pose, folded, unfolded, written
+from tests.fuzz.target import (
+    Target,
+    check_log,
+    check_planes,
+    check_points,
+    check_pose,
+    check_poses,
+    folded,
+    unfolded,
+    written,
+)
 from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped
 from tests.slam.io.bags import Messages, write
-from tests.slam.io.test_clouds import pcd
+from tests.slam.io.test_clouds import npy, npz, pcd
 from tests.slam.io.test_las_e57 import write_e57, write_las
 from tests.slam.io.test_rosbag import mission
 from tests.slam.scenes import drive, room_planes
 
 _POINTS = np.random.default_rng(0).normal((10.0, 20.0, 5.0), 3.0, (40, 3))
 _RUN = ("planes.json", "trajectory.tum", "view.json", "metrics.json", "odometry.tum")
+_BAG = ("metadata.yaml", "run 1 ü.db3")
 _TRUTH = ("planes.json", "trajectory.tum", "labels.npz")
 _CLOUDS = ("times.txt", "poses.tum", "odometry.tum", "rig.yaml", "scan 1.pcd", "scan 2.pcd")
 _DEPTH = ("intrinsics.txt", "depth.txt", "groundtruth.txt", "depth/a1.png", "depth/a2.png")
@@ -57,11 +68,6 @@ def _bag(path: Path) -> None:
         check_log(load(path, keep_partial=True)[0])
 
 
-def _bag_folder(path: Path) -> None:
-    folder = unfolded(path, ("metadata.yaml", "run 1 ü.db3"))
-    check_log(load(folder)[0])
-
-
 def _log_folder(names: tuple[str, ...]):
     def read(path: Path) -> None:
         check_log(load(unfolded(path, names))[0])
@@ -73,10 +79,6 @@ def check_cloud(path: Path) -> None:
     check_points(read_cloud(path).points)
 
 
-def _e57(path: Path) -> None:
-    check_log(load(path)[0])
-
-
 def _image(path: Path) -> None:
     (path.parent / "intrinsics.txt").write_text("525 525 319.5 239.5\n")
     check_cloud(path)
@@ -84,16 +86,12 @@ def _image(path: Path) -> None:
 
 def _run(path: Path) -> None:
     run = StoredRun.read(unfolded(path, _RUN))
-    for known in run.planes:
-        check_plane(known.plane)
-    for pose in run.trajectory.poses:
-        check_pose(pose)
+    check_planes(known.plane for known in run.planes)
+    check_poses(run.trajectory.poses)
 
 
 def _truth(path: Path) -> None:
-    truth = Truth.read(unfolded(path, _TRUTH))
-    for plane in truth.planes:
-        check_plane(plane)
+    check_planes(Truth.read(unfolded(path, _TRUTH)).planes)
 
 
 def _prior(path: Path) -> None:
@@ -121,13 +119,11 @@ def _keyframe_bytes(path: Path) -> None:
     if keyframe.motion is not None:
         slam.add_keyframe(_first_keyframe())
     slam.add_keyframe(keyframe)
-    for pose in slam.trajectory.poses:
-        check_pose(pose)
+    check_poses(slam.trajectory.poses)
 
 
 def _fit(path: Path) -> None:
-    for plane in fit_cloud(read_cloud(path), path).planes:
-        check_plane(plane)
+    check_planes(fit_cloud(read_cloud(path), path).planes)
 
 
 def _salvage(path: Path) -> None:
@@ -154,24 +150,20 @@ def _bag_seeds(*kinds: str) -> list[bytes]:
         with tempfile.TemporaryDirectory() as folder:
             path = write(Path(folder), kind, make)
             if path.is_dir():
-                seeds.append(folded(*((path / name).read_bytes() for name in ("metadata.yaml", "run 1 ü.db3"))))
+                seeds.append(folded(*((path / name).read_bytes() for name in _BAG)))
             else:
                 seeds.append(path.read_bytes())
     return seeds
 
 
 def _las(name: str) -> list[bytes]:
-    return [written(lambda path: write_las(path, _POINTS) and None, name)]  # type: ignore[misc]
+    return [written(partial(write_las, points=_POINTS), name)]
 
 
 def _e57_seeds() -> list[bytes]:
-    grid = _POINTS.reshape(5, 8, 3)
-    scans = [(grid, np.eye(4)), (grid, None)]
-
-    def make(ordered: bool) -> bytes:
-        return written(lambda path: write_e57(path, scans, organised=ordered) and None, "a.e57")  # type: ignore[misc]
-
-    return [make(False), make(True)]
+    scans = [(_POINTS.reshape(5, 8, 3), pose) for pose in (np.eye(4), None)]
+    makers = [partial(write_e57, scans=scans, organised=ordered) for ordered in (False, True)]
+    return [written(make, "a.e57") for make in makers]
 
 
 def _png() -> bytes:
@@ -192,11 +184,6 @@ def _pixel_seeds() -> list[bytes]:
 
 
 def _member_seeds() -> list[bytes]:
-    def npy(values: np.ndarray) -> bytes:
-        stream = io.BytesIO()
-        np.save(stream, values)
-        return stream.getvalue()
-
     return [folded(npy(_POINTS[:6]), npy(np.eye(4))), folded(npy(_POINTS[:6].reshape(2, 3, 3).astype(">f4")))]
 
 
@@ -222,20 +209,14 @@ def _mission_seeds() -> list[bytes]:
     log = Log([event for event in made.log.events if isinstance(event, OdometryReading)][:4], Path("x"))
     log.events.extend(made.log.scans()[:2])
     log.events.sort(key=lambda event: event.stamp_ns)
-    return [
-        folded(
-            written(made.rig.to_yaml, "rig.yaml"), written(lambda path: write_carmen(log, made.rig, path), "log.clf")
-        )
-    ]
+    rig = written(made.rig.to_yaml, "rig.yaml")
+    return [folded(rig, written(partial(write_carmen, log, made.rig), "log.clf"))]
 
 
 def _planes() -> bytes:
-    return written(lambda path: write_planes(path, room_planes_with_covariance()), "planes.json")
-
-
-def room_planes_with_covariance():
     """Planes of a room that are known to a few millimetres."""
-    return [replace(plane, covariance=1e-5 * np.eye(3)) for plane in room_planes()]
+    planes = [replace(plane, covariance=1e-5 * np.eye(3)) for plane in room_planes()]
+    return written(partial(write_planes, planes=planes), "planes.json")
 
 
 def _run_seeds() -> list[bytes]:
@@ -245,9 +226,7 @@ def _run_seeds() -> list[bytes]:
 
 
 def _truth_seeds() -> list[bytes]:
-    labels = io.BytesIO()
-    np.savez_compressed(labels, laser=np.zeros((2, 5), dtype=np.int32))
-    return [folded(_planes(), _tum(3), labels.getvalue())]
+    return [folded(_planes(), _tum(3), npz(laser=np.zeros((2, 5), dtype=np.int32)))]
 
 
 def _prior_seeds() -> list[bytes]:
@@ -277,10 +256,10 @@ FOLDERS = (
     Target("bag.ros1", _bag, lambda: _bag_seeds("ros1", "ros1 bz2", "ros1 lz4"), ".bag"),
     Target("bag.mcap", _bag, lambda: _bag_seeds("mcap alone", "mcap zstd alone"), ".mcap"),
     Target("bag.db3", _bag, lambda: _bag_seeds("db3 alone"), ".db3"),
-    Target("bag.folder", _bag_folder, lambda: _bag_seeds("sqlite3")),
+    Target("bag.folder", _log_folder(_BAG), lambda: _bag_seeds("sqlite3")),
     Target("cloud.las", check_cloud, lambda: _las("a.las"), ".las"),
     Target("cloud.laz", check_cloud, lambda: _las("a.laz"), ".laz"),
-    Target("cloud.e57", _e57, _e57_seeds, ".e57", e57),
+    Target("cloud.e57", lambda path: check_log(load(path)[0]), _e57_seeds, ".e57", e57),
     Target("cloud.png", _image, lambda: [_png()], ".png"),
     Target("cloud.png-pixels", _image, _pixel_seeds, ".png", png),
     Target("cloud.npz-members", check_cloud, _member_seeds, ".npz", zipped("points.npy", "other.npy")),

@@ -26,7 +26,7 @@ from spplanes import (
     segment_cloud,
     segment_scans,
 )
-from tests.fuzz.target import Target, check_plane, check_pose
+from tests.fuzz.target import Target, check_plane, check_pose, check_poses
 from tests.slam.scenes import drive, room_planes
 
 
@@ -115,8 +115,7 @@ def _driven(n: Numbers) -> list[np.ndarray]:
         problem = error
         assert len(slam.keyframes) == 2, "a keyframe that was refused left a trace"
     slam.add_keyframe(known[2])
-    for pose in slam.trajectory.poses:
-        check_pose(pose)
+    check_poses(slam.trajectory.poses)
     if problem is not None:
         raise problem
     return []
@@ -232,9 +231,7 @@ WITHOUT_ARRAYS = {
     *("factors.observation_factor", "factors.LandmarkExtents.change_anchor"),
     *("slam.SlamConfig", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch", "slam.PlaneSlam.remap"),
-    "slam.PlaneSlam.supersede",
-    "slam.PlaneSlam.explain",
-    "slam.PlaneSlam.marginal_covariance",
+    *("slam.PlaneSlam.supersede", "slam.PlaneSlam.explain", "slam.PlaneSlam.marginal_covariance"),
 }
 
 
@@ -255,8 +252,7 @@ def _check(answer: Any) -> None:
     elif isinstance(answer, ScanLine):
         assert np.isfinite([answer.alpha, answer.rho, *answer.covariance.ravel()]).all()
     elif isinstance(answer, factors.Association):
-        told = np.array([sum(one.probabilities.values()) for one in answer.identities])
-        np.testing.assert_allclose(told, 1.0)
+        np.testing.assert_allclose([sum(one.probabilities.values()) for one in answer.identities], 1.0)
     elif isinstance(answer, list | tuple):
         for one in answer:
             _check(one)
@@ -273,10 +269,6 @@ def _values() -> gtsam.Values:
         values.insert(key + 2, gtsam.OrientedPlane3(0.0, 0.6, 0.8, 1.0 + key))
         values.insert(key + 4, gtsam.Pose2())
     return values
-
-
-def _seeds() -> list[bytes]:
-    return [seed_of(number) for number in range(len(CALLS))]
 
 
 def seed_of(number: int, changed: dict[int, float] | None = None) -> bytes:
@@ -315,4 +307,4 @@ def _numbers_for(name: str) -> np.ndarray:
     return np.concatenate([one.ravel() for one in asked.given])
 
 
-PUBLIC = (Target("public", _read, _seeds, is_numbers=True),)
+PUBLIC = (Target("public", _read, lambda: [seed_of(number) for number in range(len(CALLS))], is_numbers=True),)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -119,6 +119,18 @@ def check_pose(pose: np.ndarray) -> None:
     """A rigid transform."""
     assert pose.shape == (4, 4) and np.isfinite(pose).all()
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2)
+
+
+def check_poses(poses: Iterable[np.ndarray]) -> None:
+    """All of them."""
+    for pose in poses:
+        check_pose(pose)
+
+
+def check_planes(planes: Iterable[Plane]) -> None:
+    """All of them."""
+    for plane in planes:
+        check_plane(plane)
 
 
 def check_plane(plane: Plane) -> None:

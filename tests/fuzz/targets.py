@@ -27,7 +27,7 @@ from slam.simulation.robots import paper_rig
 from spplanes import Plane
 from tests.fuzz.folders import FOLDERS, check_cloud, session_seeds
 from tests.fuzz.public import PUBLIC
-from tests.fuzz.target import Target, check_log, check_plane, check_pose, written
+from tests.fuzz.target import Target, check_log, check_plane, check_poses, written
 from tests.slam.io.test_clouds import CLOUD_FILES
 from tests.slam.scenes import drive, room_planes
 
@@ -49,18 +49,7 @@ def _rig(path: Path) -> None:
 def _tum(path: Path) -> None:
     trajectory = read_tum(path)
     assert (np.diff(trajectory.stamps_ns) > 0).all()
-    for pose in trajectory.poses:
-        check_pose(pose)
-
-
-def _kitti(path: Path) -> None:
-    for pose in read_kitti(path):
-        check_pose(pose)
-
-
-def _relations(path: Path) -> None:
-    for pose in read_relations(path).a_T_b:
-        check_pose(pose)
+    check_poses(trajectory.poses)
 
 
 def _planes(path: Path) -> None:
@@ -118,8 +107,11 @@ def _carmen_seeds() -> list[bytes]:
 
 
 def _trajectory() -> Trajectory:
-    poses = drive(0, count=4).world_T_body
-    return Trajectory(np.arange(4) * 10**9, poses)
+    return Trajectory(np.arange(4) * 10**9, drive(0, count=4).world_T_body)
+
+
+def _kitti_seeds() -> list[bytes]:
+    return [written(lambda path: write_kitti(path, _trajectory().poses), "k.txt")]
 
 
 def _codec_seeds() -> list[bytes]:
@@ -153,8 +145,8 @@ TARGETS = {
         Target("carmen-rig", lambda path: check_log(read_carmen(path, rig=paper_rig())), _carmen_seeds, ".clf"),
         Target("3dtk", _threedtk, lambda: [b"100 200 300\n110 200 300\n\x000 0 0\n0 0 0\n"]),
         Target("tum", _tum, lambda: [written(lambda path: write_tum(path, _trajectory()), "t.tum")]),
-        Target("kitti", _kitti, lambda: [written(lambda path: write_kitti(path, _trajectory().poses), "k.txt")]),
-        Target("relations", _relations, lambda: [b"1.5 2.5 1 0 0 0 0 0.1\n"]),
+        Target("kitti", lambda path: check_poses(read_kitti(path)), _kitti_seeds),
+        Target("relations", lambda path: check_poses(read_relations(path).a_T_b), lambda: [b"1.5 2.5 1 0 0 0 0 0.1\n"]),
         Target("planes", _planes, lambda: [written(lambda path: write_planes(path, room_planes()), "planes.json")]),
         Target("g2o", _g2o, _g2o_seeds, ".g2o"),
         Target("rig", _rig, lambda: [written(lambda path: paper_rig().to_yaml(path), "rig.yaml")], ".yaml"),

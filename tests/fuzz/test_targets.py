@@ -36,8 +36,9 @@ def _las_with(place: int, word: bytes) -> bytes:
     return data[:place] + word + data[place + len(word) :]
 
 
-def _prior_with(old: str, new: str) -> bytes:
-    return TARGETS["prior"].seeds()[0].replace(old.encode(), new.encode())
+def _with(name: str, old: bytes, new: bytes, count: int = -1) -> tuple[str, bytes]:
+    """The first valid input of a target with a part of it replaced."""
+    return name, TARGETS[name].seeds()[0].replace(old, new, count)
 
 
 def _array_of(name: str) -> bytes:
@@ -58,10 +59,6 @@ def _numbered(*numbers: int) -> bytes:
     content = decode(record(TARGETS["prior-bytes"].seeds()[0]))
     planes = [replace(plane, id=number) for plane, number in zip(content["planes"], numbers, strict=False)]
     return unrecorded(encode({**content, "planes": planes, "covariance": 1e-4 * np.eye(3 * len(planes))}))
-
-
-def _pcd_from(viewpoint: bytes) -> bytes:
-    return TARGETS["cloud.pcd"].seeds()[0].replace(b"VIEWPOINT 0 0 0 1 0 0 0", b"VIEWPOINT " + viewpoint)
 
 
 def _prior_of_arrays() -> bytes:
@@ -89,6 +86,9 @@ def _session_with(change: str) -> bytes:
         return path.read_bytes()
 
 
+FAR_APART = {0: (10.377191, 19.603685, 110.74029), 28: (-0.047, 1.36e16, 3.0178), 29: (0, 2.079e11, 0)}
+FAR_APART |= {30: (5.07e7, 12399.9, 0), 31: (0, 12392.3, 0)}
+TAKEN_FOR_A_KEY, TOO_LONG = b"kind: line\n    " + b"1234 " * 200 + b": 1", b"0.0 depth/" + b"a" * 300 + b".png\n"
 #: What broke a target once: its name and the input.
 FOUND = {
     "a 3DTK scan of one beam": ("3dtk", b"1 2 3\n\x000 0 0\n0 0 0\n"),
@@ -98,7 +98,7 @@ FOUND = {
     "a 3DTK scan beyond the squares of numbers": ("3dtk", b"10 2 0\n10 2000E200 2\n10 2 1\n\x000 0 0\n0 0 0\n"),
     "a time that overflows": ("tum", b"1E999999999999999999 0 0 0 0 0 0 1\n"),
     "records before the points of a LAS that would be gigabytes": ("cloud.las", _las_with(96, b"\xff" * 4)),
-    "a prior with a plane of kilometres": ("prior", _prior_with("3.0", "3e18")),
+    "a prior with a plane of kilometres": _with("prior", b"3.0", b"3e18"),
     "planes whose frames are infinitely far": _public("spplanes.Plane.transform", {3: 1e200}),
     "a plane without a covariance": _public("spplanes.Plane.merge", {41: 1e-320, 45: 1e-320, 49: 1e-320}),
     "a keyframe whose noise is none": _public("slam.PlaneSlam.add_keyframe", {16: 1e-320}),
@@ -110,40 +110,20 @@ FOUND = {
     "a 3DTK scan whose lines only Python breaks": ("3dtk", b"\r" * 32 + b"1 2 0\0" + b"0 0 0\n0 0 0\n"),
     "a rotation whose squares are infinite": ("kitti", b".0 0.0 1.5 1.0 3e166 -1.0 0.0 1.5 0.0 0.0 1.0 1.0 "),
     "numbers of a session named by an expression": ("codec", _array_of(",f8")),
-    "points so far apart that one alone is left of a plane": (
-        "fit",
-        _cloud_with(
-            {
-                0: (10.377191, 19.603685, 110.74029),
-                28: (-0.047, 1.36e16, 3.0178),
-                29: (0, 2.079e11, 0),
-                30: (5.07e7, 12399.9, 0),
-                31: (0, 12392.3, 0),
-            }
-        ),
-    ),
+    "points so far apart that one alone is left of a plane": ("fit", _cloud_with(FAR_APART)),
     "an outline of arcs": ("codec", encode(shapely.Point(1, 2)).replace(b"\1\1\0\0\0", b"\1\x08\0\0\0")),
-    "a prior with a plane that nobody knows": ("prior", _prior_with("0.0,\n     1e-05,", "0.0,\n     1.7e48,")),
+    "a prior with a plane that nobody knows": _with("prior", b"0.0,\n     1e-05,", b"0.0,\n     1.7e48,"),
     "a prior with two planes of one number": ("prior-bytes", _numbered(0, 0)),
-    "a rig that takes its numbers for a key": (
-        "mission",
-        TARGETS["mission"].seeds()[0].replace(b"kind: line", b"kind: line\n    " + b"1234 " * 200 + b": 1", 1),
-    ),
-    "a list of depth images whose names are too long": (
-        "depth",
-        folded(b"525 525 8 6\n", b"0.0 depth/" + b"a" * 300 + b".png\n"),
-    ),
+    "a rig that takes its numbers for a key": _with("mission", b"kind: line", TAKEN_FOR_A_KEY, 1),
+    "a list of depth images whose names are too long": ("depth", folded(b"525 525 8 6\n", TOO_LONG)),
     "a session whose checksum is none": ("session", _session_with("UPDATE keyframes SET digest = NULL WHERE id = 1")),
     "a rig with a number that is none": ("rig", b"sensors: !!int ''\n"),
     "a rig with a truth that is none": ("rig", b"sensors: !!bool x\n"),
     "a rig that holds itself": ("rig", b"sensors: &a\n  laser: *a\n"),
     "a configuration of aliases of aliases": ("config", _aliases("mapper: *a9")),
     "a rig of aliases of aliases": ("rig", _aliases("sensors: {laser: {kind: line, body_T_sensor: *a9}}")),
-    "a graph with a normal whose square is infinite": (
-        "g2o",
-        TARGETS["g2o"].seeds()[0].replace(b"VERTEX_PLANE 2 0", b"VERTEX_PLANE 2 1e308"),
-    ),
-    "a cloud from a viewpoint whose square is infinite": ("cloud.pcd", _pcd_from(b"0 0 0 1e155 0 0 0")),
+    "a graph with a normal whose square is infinite": _with("g2o", b"VERTEX_PLANE 2 0", b"VERTEX_PLANE 2 1e308"),
+    "a cloud from a viewpoint whose square is infinite": _with("cloud.pcd", b"0 0 0 1 0 0 0", b"0 0 0 1e155 0 0 0"),
     "a prior whose number is an array": ("prior-bytes", _prior_of_arrays()),
     "noise whose square is zero": _public("spplanes.segment_scans", {0: 1e-200}),
 }
