@@ -49,7 +49,7 @@ from tests.factors.factor_scenes import (
 
 PLANE = random_plane(np.random.default_rng(0))
 LINE = random_line(np.random.default_rng(0))
-WALL = values_of(l0=gtsam.OrientedPlane3())
+WALL, NOTHING, FLOOR = values_of(l0=gtsam.OrientedPlane3()), gtsam.Values(), gtsam.OrientedPlane3(0, 0, 1, 1)
 MARGINALS = gtsam.Marginals(gtsam.NonlinearFactorGraph(), gtsam.Values())
 WRONG_KEYS = [
     (L, "keys: expected a sequence, got int"),
@@ -57,6 +57,20 @@ WRONG_KEYS = [
     ([L, L], r"keys\[1\]: expected another key than keys\[0\], got l0 for both"),
 ]
 WRONG_SIGMAS = [(0.1, 0.1), (0.1, 0.0, 0.1), (0.1, -1.0, 0.1)]
+NO_KERNELS = ["tukey", ("huber",), 3.0, ("huber", 1.0, 2.0)]
+WRONG_KERNELS = [("huber", k) for k in (0.0, -1.0, np.nan, np.inf)]
+
+
+def robust(kernel):
+    return plane_factor(PLANE, X, L, robust=kernel)
+
+
+def line_expecting(expected, anchor_key):
+    return line_factor(LINE, np.eye(4), X, L, anchor_key=anchor_key, expected=expected)
+
+
+def out_of_plane(sigmas):
+    return odometry_factor(X, A, (1, 0, 0), np.eye(3), out_of_plane_sigmas=sigmas)
 
 
 @pytest.mark.parametrize("key", ["x0", 1.0, None, True, -1, 2**64])
@@ -98,10 +112,11 @@ def test_singular_noise(scale):
             build(X, A, (1, 0, 0), scale * np.diag([1.0, 0.0, 1.0]))
 
 
-def test_tiny_but_definite_noise_is_accepted():
+def test_tiny_but_definite_noise_is_accepted_and_long_directions_do_not_overflow():
     """Scale is not singularity: a micrometre beside a radian."""
     plane = Plane(PLANE.frame, np.diag([1e-12, 1e-2, 1.0]))
     assert plane_factor(plane, X, L).error(values_of(x0=gtsam.Pose3(), l0=plane_landmark(plane))) < 1e-6
+    assert direction_prior(L, (1e40, 0, 0), 0.1).error(values_of(l0=gtsam.OrientedPlane3(1, 0, 0, 0))) == 0.0
 
 
 def test_kernels_bite_where_they_should():
@@ -160,28 +175,10 @@ def test_two_points_carry_the_covariance_of_a_line():
         (lambda: plane_factors([PLANE], [X, X], [L]), r"planes: expected as many as pose_keys, .* got 1, 2, 1, 1"),
         (lambda: plane_landmark(None), "plane: expected a Plane, got NoneType"),
         (lambda: line_factor(LINE, np.diag([1.0, 1.0, -1.0, 1.0]), X, L), "body_T_sensor: expected a right-handed rot"),
-        (
-            lambda: line_factor(LINE, np.eye(4), X, L, anchor_key=A, expected=gtsam.OrientedPlane3(0, 0, 1, 1)),
-            "expected: expected a plane that cuts the scan plane, got one at 0 rad",
-        ),
-        *(
-            (
-                lambda robust=robust: plane_factor(PLANE, X, L, robust=robust),
-                r"robust: expected None, one of .* or \(name",
-            )
-            for robust in ("tukey", ("huber",), 3.0, ("huber", 1.0, 2.0))
-        ),
-        *(
-            (lambda k=k: plane_factor(PLANE, X, L, robust=("huber", k)), "robust: expected a positive finite number")
-            for k in (0.0, -1.0, np.nan, np.inf)
-        ),
-        *(
-            (
-                lambda sigmas=sigmas: odometry_factor(X, A, (1, 0, 0), np.eye(3), out_of_plane_sigmas=sigmas),
-                "out_of_plane_sigmas: expected",
-            )
-            for sigmas in WRONG_SIGMAS
-        ),
+        (lambda: line_expecting(FLOOR, A), "expected: expected a plane that cuts the scan plane, got one at 0 rad"),
+        *((lambda wrong=wrong: robust(wrong), r"robust: expected None, one of .* or \(name") for wrong in NO_KERNELS),
+        *((lambda wrong=wrong: robust(wrong), "robust: expected a positive finite number") for wrong in WRONG_KERNELS),
+        *((lambda wrong=wrong: out_of_plane(wrong), "out_of_plane_sigmas: expected") for wrong in WRONG_SIGMAS),
         *((lambda wrong=wrong: planar_motion_factor(X, sigmas=wrong), "sigmas: expected") for wrong in WRONG_SIGMAS),
         (lambda: direction_prior(L, (0.0, 0.0, 0.0), 0.1), "direction: expected a direction, got the zero vector"),
         (lambda: direction_prior(L, (1e200, 0, 0), 0.1), "direction: expected numbers below"),
@@ -197,6 +194,9 @@ def test_two_points_carry_the_covariance_of_a_line():
         ),
         *((lambda keys=keys: isam_covariance(gtsam.ISAM2(), WALL, keys), message) for keys, message in WRONG_KEYS),
         *((lambda keys=keys: joint_covariance(MARGINALS, keys), message) for keys, message in WRONG_KEYS),
+        (lambda: isam_covariance(gtsam.ISAM2(), WALL, ("x", L)), "keys: expected a GTSAM key"),
+        (lambda: isam_covariance(gtsam.ISAM2(), WALL, [X]), "keys: expected variables of isam and of values, got"),
+        (lambda: isam_covariance(WALL, WALL, (L,)), "isam: expected an ISAM2, got Values"),
         (lambda: copy_graph(None), "graph: expected a NonlinearFactorGraph, got NoneType"),
         (lambda: copy_graph(gtsam.NonlinearFactorGraph(), "x"), "values: expected a Values, got str"),
         (lambda: copy_graph([]), "graph: expected a NonlinearFactorGraph, got list"),
@@ -204,7 +204,7 @@ def test_two_points_carry_the_covariance_of_a_line():
         (lambda: settle({}), "isam: expected an ISAM2, got dict"),
         (lambda: settle(gtsam.ISAM2(), most=-1), "most: expected a whole number >= 0, got -1"),
         (lambda: line_factor(PLANE, np.eye(4), X, L), "line: expected a ScanLine, got Plane"),
-        (lambda: line_factor(LINE, np.eye(4), X, L, anchor_key=A, expected=PLANE), "expected: expected an OrientedPl"),
+        (lambda: line_expecting(PLANE, A), "expected: expected an OrientedPl"),
         (lambda: plane_factor(PLANE, X, X), "plane_key: expected another key than pose_key, got"),
         (lambda: plane_factor(PLANE, X, L, anchor_key=L), "plane_key: expected another key than anchor_key, got"),
         (lambda: line_factor(LINE, np.eye(4), L, L), "plane_key: expected another key than pose_key, got"),
@@ -216,15 +216,9 @@ def test_two_points_carry_the_covariance_of_a_line():
         (lambda: distance_factor(L, A, 1.0, 0.1, anchor_a=L), "anchor_a: expected another key than plane_a, got"),
         (lambda: distance_factor(L, A, [1.0], 0.1), r"distance_m: expected a number, got \[1.0\]"),
         (lambda: parallel_factor(L, A, None), "sigma_rad: expected a number, got None"),
-        (
-            lambda: world_plane(gtsam.Values(), None, gtsam.symbol("l", 12)),
-            "plane_key: expected the key of an OrientedPlane3 in values, got l12",
-        ),
+        (lambda: world_plane(NOTHING, None, L), "plane_key: expected the key of an OrientedPlane3 in values, got l0"),
         (lambda: parallel_factor(L, L, 0.1), "plane_b: expected another landmark than plane_a, got the same key l0"),
-        (
-            lambda: line_factor(LINE, np.eye(4), X, L, expected=gtsam.OrientedPlane3()),
-            "expected: expected an anchor_key with it, got none",
-        ),
+        (lambda: line_expecting(FLOOR, None), "expected: expected an anchor_key with it, got none"),
     ],
 )
 def test_one_sentence_that_names_the_argument(make, message):
@@ -250,13 +244,6 @@ def test_what_a_caller_writes_into_later_changes_nothing():
             kept[...] = 0
 
 
-def test_long_directions_do_not_overflow():
-    factor = direction_prior(L, (1e40, 0, 0), 0.1)
-    values = gtsam.Values()
-    values.insert(L, gtsam.OrientedPlane3(1, 0, 0, 0))
-    assert factor.error(values) == 0.0
-
-
 def test_planes_made_ready_together_give_the_factors_they_give_alone():
     rng = np.random.default_rng(5)
     planes = [random_plane(rng) for _ in range(4)]
@@ -274,10 +261,8 @@ def test_planes_made_ready_together_give_the_factors_they_give_alone():
 
 def test_keys_without_a_marginal_are_named():
     """Once ``IndexError: map::at``."""
-    graph, values = (
-        gtsam.NonlinearFactorGraph(),
-        values_of(x1=gtsam.Pose3(), x2=gtsam.Pose3(), l0=gtsam.OrientedPlane3()),
-    )
+    graph = gtsam.NonlinearFactorGraph()
+    values = values_of(x1=gtsam.Pose3(), x2=gtsam.Pose3(), l0=gtsam.OrientedPlane3())
     graph.push_back(pose_prior(gtsam.symbol("x", 1), gtsam.Pose3(), np.eye(6)))
     marginals = gtsam.Marginals(graph, values)
     with pytest.raises(ValueError, match="keys: expected variables of the graph that the marginals are of, got l0"):

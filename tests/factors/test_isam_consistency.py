@@ -208,17 +208,3 @@ def test_isam_covariance_is_that_of_a_batch_at_the_estimate(keys):
         np.testing.assert_allclose(isam_covariance(isam, estimate, keys) / scale, batch / scale, atol=0.05)
         turned += np.abs(isam.jointMarginalCovariance(list(keys)).fullMatrix() / scale - batch / scale).max() > 0.5
     assert turned >= 4  # or the bases never jumped, and the test says nothing
-
-
-def test_bad_keys():
-    isam, _, estimate = run(np.array([0.0, 0.0, 1.0]))
-    for keys, message in (
-        (("x", L), r"keys: expected a GTSAM key"),
-        ((L, L), r"keys\[1\]: expected another key than keys\[0\]"),
-        ((gtsam.symbol("q", 0),), "keys: expected variables of isam and of values, got"),
-        ((), "keys: expected at least one, got none"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            isam_covariance(isam, estimate, keys)
-    with pytest.raises(ValueError, match="isam: expected an ISAM2, got Values"):
-        isam_covariance(estimate, estimate, (L,))

@@ -37,15 +37,11 @@ def test_sp_frame_lies_on_the_line_and_looks_at_the_sensor():
     assert frame[:2, 0] @ (last - first) > 0
 
 
-def test_sp_covariance_is_that_of_the_perturbed_frame():
-    line = make_line()
+def test_sp_covariance_is_that_of_the_perturbed_frame_which_is_at_the_middle_where_the_direction_is_certain():
+    line, certain = make_line(), make_line(covariance=np.diag((0.0, 1e-4)))
     jacobian = central_differences(lambda p: polar_of_frame(line.sp_frame @ planar(0.0, *p)), np.zeros(2))
     np.testing.assert_allclose(jacobian @ line.sp_covariance @ jacobian.T, line.covariance, rtol=1e-6)
-
-
-def test_sp_frame_of_a_line_of_certain_direction_is_at_its_middle():
-    line = make_line(covariance=np.diag((0.0, 1e-4)))
-    np.testing.assert_allclose(line.sp_frame[:2, 3], line.endpoints.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(certain.sp_frame[:2, 3], certain.endpoints.mean(axis=0), atol=1e-12)
 
 
 @pytest.mark.parametrize("pose", [(0.5, -0.3, 0.4), (-5.0, -4.0, 0.4), (40.0, 9.0, -1.0)])

@@ -166,6 +166,7 @@ def test_dict_round_trip_is_exact_through_json():
         assert (back.n_points, back.chi2) == (plane.n_points, plane.chi2)
         assert back.to_dict() == plane.to_dict()
         assert {"normal", "d", "frame", "covariance", "n_points", "outline"} <= set(plane.to_dict())
+    assert Plane.from_dict(replace(outlined(), outline=Polygon()).to_dict()).outline is None
     back = Plane.from_dict({**outlined().to_dict(), "id": 3, "observations": 5})
     assert back.outline.equals_exact(outlined().outline, 0.0)
     assert len(back.outline.interiors) == 1

@@ -81,15 +81,12 @@ def test_covariance_has_range_error_along_and_bearing_error_across():
     np.testing.assert_allclose(moved[0, 0], covariances[0, 0])
 
 
-def test_range_variance_adds_its_parts():
+def test_range_variance_adds_its_parts_and_scan_covariance_is_shift_and_tilt():
     model = SensorModel(0.01, range_sigma_share=0.002, quantisation_m=0.012, beam_divergence_rad=0.01)
     assert model.range_variance(0.0) == pytest.approx(1e-4 + 0.012**2 / 12)
     assert model.range_variance(5.0) == pytest.approx(1e-4 + 0.012**2 / 12 + 1e-4)
     slanted = model.range_variance(5.0, np.pi / 4) - model.range_variance(5.0)
     assert slanted == pytest.approx((5.0 * 0.01) ** 2 / 16.0)
-
-
-def test_scan_covariance_is_shift_and_tilt():
     model = SensorModel(0.01, scan_shift_sigma_m=0.02, scan_tilt_sigma_rad=0.01)
     np.testing.assert_allclose(np.diag(model.scan_covariance()), [4e-4] * 3 + [1e-4] * 3)
 

@@ -67,14 +67,10 @@ def test_the_step_of_coordinates(points, steps):
     np.testing.assert_allclose(found, np.broadcast_to(steps, 3), rtol=1e-6)
 
 
-def test_a_mesh_of_one_height_is_not_rounded_to_its_cells():
+def test_a_mesh_of_one_height_is_not_rounded_to_its_cells_and_covariances_without_rounding_are_left_alone():
     x, y = np.meshgrid(np.arange(20.0), np.arange(20.0))
     plane = fit_plane(np.stack((x, y, np.zeros_like(x)), axis=-1).reshape(-1, 3), sigma=0.01)
     assert np.sqrt(plane.covariance[0, 0]) == pytest.approx(0.01 / 20.0)
-
-
-def test_covariances_of_points_that_are_not_rounded_are_left_alone():
-    points = np.random.default_rng(2).normal(size=(3000, 3)) * [2.0, 1.0, 0.005]
-    covariances = 1e-8 * np.eye(3)[None]
+    points, covariances = np.random.default_rng(2).normal(size=(3000, 3)) * [2.0, 1.0, 0.005], 1e-8 * np.eye(3)[None]
     for given in (points, np.round(points, 4)):
         assert with_rounding(covariances, covariances, given, np.eye(4)[None], np.array([2.5e-5])) is covariances

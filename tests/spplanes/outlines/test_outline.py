@@ -42,10 +42,12 @@ def test_parts_apart_are_bridged_and_those_too_far_apart_leave_the_largest():
     assert outlined(far).area == pytest.approx(2.4, rel=0.01)
 
 
-def test_cells_that_touch_at_a_corner_are_valid():
-    shape = outline.outline_from_cells(np.array([[0, 0], [1, 1], [0, 1]]), 1.0, 2, np.eye(4))
+def test_cells_that_touch_at_a_corner_are_valid_and_an_outline_that_folds_back_is_mended():
+    assert outline.outline_from_cells(np.array([[0, 0], [1, 1], [0, 1]]), 1.0, 2, np.eye(4)).is_valid
+    assert outlined(np.zeros((0, 2), bool)) is None
+    shape = outlined(np.random.default_rng(0).random((40, 60)) < 0.55)
     assert shape.is_valid
-    assert outline.outline_from_cells(np.empty((0, 2), dtype=np.int64), 1.0, 2, np.eye(4)) is None
+    assert shape.geom_type == "Polygon"
 
 
 @pytest.mark.parametrize("normal", [(1, 0.2, 0.1), (0.3, -1, 0.2), (0.1, 0.2, 1), (-1, 0.9, 0.8)])
@@ -85,12 +87,6 @@ def test_regions_are_drawn_side_by_side_and_what_is_too_large_coarser():
     assert near.bounds == pytest.approx((0.0, 0.0, 4.0, 3.0))
     np.testing.assert_allclose(far.bounds, (-2.0, -1.5, 2.0, 1.5), atol=0.01)
     assert far.area == pytest.approx(12.0, rel=0.01)
-
-
-def test_an_outline_that_folds_back_is_mended():
-    shape = outlined(np.random.default_rng(0).random((40, 60)) < 0.55)
-    assert shape.is_valid
-    assert shape.geom_type == "Polygon"
 
 
 def test_cells_change_projection_with_the_plane():

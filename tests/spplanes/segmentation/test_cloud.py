@@ -196,6 +196,7 @@ def test_a_grid_with_few_holes_is_searched_as_a_grid(room, monkeypatch):
         ({"viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\), got \(2,\)"),
         ({"config": None}, "config: expected a MapperConfig, got NoneType"),
         ({"config": {}}, "config: expected a MapperConfig, got dict"),
+        ({"cloud": POINTS, "normals": POINTS[:5]}, r"normals: expected shape \(7200, 3\)"),
         ({"cloud": POINTS, "viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"),
         ({"cloud": POINTS, "viewpoint": POINTS[1:]}, r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"),
         ({"cloud": np.zeros((4, 2))}, r"cloud: expected shape \(N, 3\) or \(S, B, 3\), got \(4, 2\)"),

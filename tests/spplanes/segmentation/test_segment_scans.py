@@ -24,8 +24,11 @@ def test_room_is_five_whole_planes_seen_from_inside():
         assert plane.outline.is_valid
 
 
-def test_without_viewpoint_distances_are_positive_and_labels_in_the_order_of_the_first_point():
-    labels, planes = segment_scans(noisy(cast(rays(), box())[0], SIGMA, 1), sigma=SIGMA)
+def test_without_viewpoint_distances_are_positive_labels_in_order_and_missing_points_no_returns():
+    points = noisy(cast(rays(), box())[0], SIGMA, 11)
+    points[5, 5], points[6, 6, 0] = np.inf, np.nan
+    labels, planes = segment_scans(points, sigma=SIGMA)
+    assert labels[5, 5] == labels[6, 6] == -1
     assert len(planes) == 5
     assert all(plane.d >= 0.0 for plane in planes)
     firsts = [np.flatnonzero(labels.ravel() == k)[0] for k in range(len(planes))]
@@ -100,14 +103,6 @@ def test_the_plane_of_a_scan_is_no_surface():
     points[1] = np.nan
     for n in (1, 2):
         assert segment_scans(points[:n], covariances[:n], viewpoints=origins[:n])[1] == []
-
-
-def test_infinite_and_missing_points_are_no_returns():
-    points = noisy(cast(rays(), box())[0], SIGMA, 11)
-    points[5, 5], points[6, 6, 0] = np.inf, np.nan
-    labels, planes = segment_scans(points, sigma=SIGMA)
-    assert labels[5, 5] == labels[6, 6] == -1
-    assert len(planes) == 5
 
 
 @pytest.mark.parametrize(

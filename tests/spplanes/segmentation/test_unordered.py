@@ -105,17 +105,6 @@ def test_repeated_points_count_once_and_are_labelled():
     np.testing.assert_array_equal(once.planes[0].covariance, twice.planes[0].covariance)
 
 
-def test_normals_and_viewpoints_of_points_turn_planes():
-    points = box(4, 6_000)
-    outside = points * 3.0
-    inward, outward = segment_cloud(points)[1], segment_cloud(points, viewpoint=outside)[1]
-    assert all(plane.normal @ plane.centre < 0.0 for plane in inward)
-    assert all(plane.normal @ plane.centre > 0.0 for plane in outward)
-    assert all(plane.normal @ plane.centre > 0.0 for plane in segment_cloud(points, normals=points)[1])
-    with pytest.raises(ValueError, match=r"normals: expected shape \(6000, 3\)"):
-        segment_cloud(points, normals=points[:5])
-
-
 def test_what_speaks_against_a_cloud_is_said():
     assert any("millimetres" in one for one in segment_cloud(1000.0 * box(5, 6_000)).warnings)
     assert any("viewpoint" in one for one in segment_cloud(box(5, 6_000) + 100.0).warnings)
