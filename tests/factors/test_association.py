@@ -14,18 +14,7 @@ from scipy.stats import binom
 from shapely import box
 
 import factors
-from factors import (
-    AssociationGates,
-    LandmarkExtents,
-    LineObservation,
-    PlaneObservation,
-    Prediction,
-    associate,
-    isam2_parameters,
-    observation_factor,
-    pose_prior,
-    settle,
-)
+from factors import AssociationGates, LandmarkExtents, LineObservation, PlaneObservation, Prediction, associate
 from factors.association.landmark_extents import place_all
 from spplanes import Plane, fit_plane
 from tests.factors.association_scenes import (
@@ -159,10 +148,10 @@ def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, 
     moved = gtsam.Pose3(gtsam.Rot3.Yaw(0.2), np.array([0.4, 0.1, 0.0]))
     values.insert(X, gtsam.Pose3())
     values.insert(second, moved)
-    graph.push_back(pose_prior(X, gtsam.Pose3(), np.diag([1e-3] * 6) ** 2))
+    graph.push_back(factors.pose_prior(X, gtsam.Pose3(), np.diag([1e-3] * 6) ** 2))
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-3, 1e-3, 0.01, 0.1, 0.1, 1e-3]))
     graph.push_back(gtsam.BetweenFactorPose3(X, second, moved, noise))
-    isam = gtsam.ISAM2(isam2_parameters())
+    isam = gtsam.ISAM2(factors.isam2_parameters())
     isam.update(graph, values)
     prediction = Prediction.of_isam(isam, X)
     new_graph, new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -172,11 +161,11 @@ def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, 
         new_values.insert(key(number), initial)
         start = gtsam.Values(prediction.values)
         start.insert(key(number), initial)
-        factor = observation_factor(plane, X, landmarks[key(number)], replace(prediction, values=start))
+        factor = factors.observation_factor(plane, X, landmarks[key(number)], replace(prediction, values=start))
         new_graph.push_back(factor)
         graph.push_back(factor)
     isam.update(new_graph, new_values)
-    settle(isam)
+    factors.settle(isam)
     there = gtsam.Pose3(gtsam.Rot3.Yaw(0.21), np.array([0.5, 0.0, 0.0]))
     seen = [drawn(plane_of(number).transform(there.inverse().matrix()), MAPPED, rng) for number in WHOLE]
     return isam, graph, landmarks, seen
@@ -205,8 +194,7 @@ def test_a_wall_goes_on_as_far_as_is_known_of_the_pose_from_it_not_of_both_in_th
     there = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([0.2, -0.4, 0.0]))
     verdicts = []
     for end_m in (0.0, -2.0):  # of the cabinet's front from 1 m to 2 m, what is seen ends so far along it
-        landmarks = LandmarkExtents()
-        prediction = drifted(drift_m, there, landmarks)
+        prediction = drifted(drift_m, there, landmarks := LandmarkExtents())
         piece = replace(plane_of(5), frame=frame_of((-1.0, 0.0, 0.0), (3.4, end_m - 0.5, -0.6)))
         (one,) = associate([piece.transform(there.inverse().matrix())], prediction, landmarks).identities
         verdicts.append(one.verdict)
@@ -251,10 +239,8 @@ def test_a_prediction_from_before_an_update_is_refused():
     isam, _, landmarks, seen = solved()
     second = gtsam.symbol("x", 1)
     prediction = Prediction.of_isam(isam, second)
-    graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(
-        pose_prior(second, prediction.pose(second) @ gtsam.Pose3.Expmap([0, 0, 0, 0.1, 0, 0]).matrix(), FIRM)
-    )
+    graph, moved = gtsam.NonlinearFactorGraph(), gtsam.Pose3.Expmap([0, 0, 0, 0.1, 0, 0]).matrix()
+    graph.push_back(factors.pose_prior(second, prediction.pose(second) @ moved, FIRM))
     isam.update(graph, gtsam.Values())
     with pytest.raises(ValueError, match="prediction: expected that of isam as it is, got one from before its last up"):
         associate(seen, prediction, landmarks)
@@ -339,6 +325,13 @@ VALUES, MATRIX, SEEN = PLACE.values, PLACE.covariance, PLACE.seen(0, np.random.d
 POSE_ALONE = gtsam.Values()
 POSE_ALONE.insert(X, gtsam.Pose3())
 of_matrix = Prediction.of_matrix
+of_none, of_one = of_matrix(np.eye(6), [X], POSE_ALONE, X), of_matrix(MATRIX[:9, :9], PLACE.keys[:2], VALUES, X)
+of_all, BOTH = PLACE.prediction, [SEEN, PLACE.seen(1, np.random.default_rng(0))]
+POSITIVE, PROBABILITY = "expected a positive finite number, got", "expected a number from 0 to 1"
+
+
+def associated(seen, prediction, **how):
+    return associate(seen, prediction, PLACE.landmarks, **how)
 
 
 @pytest.mark.parametrize(
@@ -351,34 +344,16 @@ of_matrix = Prediction.of_matrix
         (lambda: of_matrix(np.eye(3), [key(0)], VALUES, X), "keys: expected the pose x0 among them, got l0"),
         (lambda: of_matrix(MATRIX, PLACE.keys, VALUES, key(0)), "pose_key: expected the key of a Pose3 .* l0, a plane"),
         (lambda: Prediction.of_isam(gtsam.ISAM2(), gtsam.symbol("x", 7)), "pose_key: expected the key .* got x7"),
-        (
-            lambda: associate(
-                [SEEN, PLACE.seen(1, np.random.default_rng(0))],
-                of_matrix(MATRIX[:9, :9], PLACE.keys[:2], VALUES, X),
-                PLACE.landmarks,
-            ),
-            "keys: expected all landmarks and anchors compared, got none of l1",
-        ),
-        (
-            lambda: associate([SEEN], of_matrix(np.eye(6), [X], POSE_ALONE, X), PLACE.landmarks),
-            "landmarks: expected the key of an OrientedPlane3 in values, got l0",
-        ),
-        (lambda: associate([SEEN, 1.0], PLACE.prediction, PLACE.landmarks), r"observations\[1\]: .* got float"),  # type: ignore[list-item]
-        (lambda: associate(SEEN, PLACE.prediction, PLACE.landmarks), "observations: expected a sequence, got Plane"),
-        *(
-            (
-                lambda tilt=tilt: associate([SEEN], PLACE.prediction, PLACE.landmarks, wall_tilt_sigma_rad=tilt),
-                "wall_tilt_sigma_rad: expected a positive finite number, got",
-            )
-            for tilt in (-1.0, np.nan)
-        ),
+        (lambda: associated(BOTH, of_one), "keys: expected all landmarks and anchors compared, got none of l1"),
+        (lambda: associated([SEEN], of_none), "landmarks: expected the key of an OrientedPlane3 in values, got l0"),
+        (lambda: associated([SEEN, 1.0], of_all), r"observations\[1\]: .* got float"),
+        (lambda: associated(SEEN, of_all), "observations: expected a sequence, got Plane"),
+        (lambda: associated([SEEN], of_all, wall_tilt_sigma_rad=-1.0), f"wall_tilt_sigma_rad: {POSITIVE}"),
+        (lambda: associated([SEEN], of_all, wall_tilt_sigma_rad=np.nan), f"wall_tilt_sigma_rad: {POSITIVE}"),
         (lambda: of_matrix(np.eye(6), X, VALUES, X), "keys: expected a sequence, got int"),
         (lambda: associate([SEEN], PLACE.prediction, {}), "landmarks: expected a LandmarkExtents, got dict"),  # type: ignore[arg-type]
-        (lambda: associate([SEEN], MATRIX, PLACE.landmarks), "prediction: expected a Prediction, got ndarray"),  # type: ignore[arg-type]
-        (
-            lambda: associate([SEEN], PLACE.prediction, PLACE.landmarks, least_probability=2.0),
-            "least_probability: expected a number from 0 to 1, got 2.0",
-        ),
+        (lambda: associated([SEEN], MATRIX), "prediction: expected a Prediction, got ndarray"),
+        (lambda: associated([SEEN], of_all, least_probability=2.0), f"least_probability: {PROBABILITY}, got 2.0"),
         (lambda: AssociationGates(significance=0.0), "significance: expected a probability between 0 and 1, got 0.0"),
         (lambda: AssociationGates(gap_m=-1.0), "gap_m: expected a number >= 0, got -1.0"),
         (lambda: LineObservation(random_line(np.random.default_rng(0)), np.eye(3)), "body_T_sensor: expected shape"),

@@ -7,17 +7,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import (
-    isam2_parameters,
-    isam_covariance,
-    joint_covariance,
-    plane_factor,
-    plane_landmark,
-    pose_prior,
-    relative_pose_factor,
-    settle,
-    world_plane_from_joint,
-)
+import factors
+from factors import isam2_parameters, isam_covariance, joint_covariance, plane_factor, plane_landmark, pose_prior
 from spplanes import Plane
 from tests.factors.factor_scenes import TIED_NORMALS, A, L, X, frame_of, perturbed
 from tests.statistics import mean_nees_band
@@ -77,7 +68,7 @@ def estimated(seed: int, parameters: gtsam.ISAM2Params | None, origin=(0.0, 0.0,
         else:
             before = values.atPose3(x(i - 1)) if isam is None else isam.calculateEstimatePose3(x(i - 1))
             guess = before.compose(steps[i - 1])
-            new_factors.push_back(relative_pose_factor(x(i - 1), x(i), steps[i - 1], np.diag(STEP_SIGMAS**2)))
+            new_factors.push_back(factors.relative_pose_factor(x(i - 1), x(i), steps[i - 1], np.diag(STEP_SIGMAS**2)))
         new_values.insert(x(i), guess)
         for j in (j for j in range(len(WALLS)) if sees(pose, j)):
             error = perturbed(np.eye(4), PLANE_SIGMAS * rng.normal(size=3))
@@ -89,7 +80,7 @@ def estimated(seed: int, parameters: gtsam.ISAM2Params | None, origin=(0.0, 0.0,
         if isam is not None:
             isam.update(new_factors, new_values)
             if parameters.relinearizeSkip == 1:
-                settle(isam)
+                factors.settle(isam)
         graph.push_back(new_factors)
         values.insert(new_values)
     return isam, graph, values, anchors, truth
@@ -110,7 +101,9 @@ def scores(seed: int, parameters: gtsam.ISAM2Params | None) -> tuple[float, floa
         poses.append(error @ np.linalg.solve(covariance([x(i)]), error))
     for j, anchor in anchors.items():
         landmark, pose = estimate.atOrientedPlane3(plane_key(j)), estimate.atPose3(anchor)
-        found = world_plane_from_joint(landmark, pose, covariance([anchor, plane_key(j)]), centre=WALLS[j][:3, 3])
+        found = factors.world_plane_from_joint(
+            landmark, pose, covariance([anchor, plane_key(j)]), centre=WALLS[j][:3, 3]
+        )
         true = np.linalg.inv(found.frame) @ WALLS[j]
         normal = true[:3, 2] / true[2, 2]
         error = np.array([normal @ true[:3, 3], normal[0], -normal[1]])
@@ -174,8 +167,8 @@ def test_settling_stops_when_nothing_moves():
     graph.push_back(pose_prior(x(0), np.eye(4), np.eye(6)))
     values.insert(x(0), gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.ones(3)))
     isam.update(graph, values)
-    assert 1 < settle(isam) < 8
-    assert settle(isam) == 1
+    assert 1 < factors.settle(isam) < 8
+    assert factors.settle(isam) == 1
     assert isam.calculateEstimatePose3(x(0)).equals(gtsam.Pose3(), 1e-6)
 
 
@@ -184,7 +177,7 @@ def run(normal):
     plane = Plane(frame_of(normal, 2.0 * normal, 0.3), np.diag([1e-6, 1e-7, 1e-4]))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.push_back(pose_prior(A, np.eye(4), np.diag([1, 2, 3, 4, 5, 6]) * 1e-6))
-    graph.push_back(relative_pose_factor(A, X, np.eye(4), np.diag([6, 5, 4, 3, 2, 1]) * 1e-6))
+    graph.push_back(factors.relative_pose_factor(A, X, np.eye(4), np.diag([6, 5, 4, 3, 2, 1]) * 1e-6))
     graph.push_back(plane_factor(plane, X, L, anchor_key=A))
     values.insert(A, gtsam.Pose3())
     values.insert(X, gtsam.Pose3())

@@ -107,12 +107,8 @@ def test_a_landmark_of_a_planar_graph_is_that_of_the_same_graph_in_space():
         priors = prior(X, kind(x), noise), prior(A, kind(a), noise), factors.upright_prior(L, 0.01, anchor_key=A)
         graph = graph_of(*priors, build(line, np.eye(4), X, L, anchor_key=A))
         marginals = gtsam.Marginals(graph, values)
-        found.append(
-            (
-                factors.world_plane(values, marginals, L, anchor_key=A),
-                factors.seen_plane(values, marginals, L, X, anchor_key=A),
-            )
-        )
+        in_world = factors.world_plane(values, marginals, L, anchor_key=A)
+        found.append((in_world, factors.seen_plane(values, marginals, L, X, anchor_key=A)))
     for flat, spatial in zip(*found, strict=True):
         np.testing.assert_allclose(flat.frame, spatial.frame, atol=1e-12)
         np.testing.assert_allclose(flat.covariance, spatial.covariance, rtol=1e-4, atol=1e-9)

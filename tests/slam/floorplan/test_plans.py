@@ -131,14 +131,11 @@ def test_a_wall_through_two_storeys_is_in_both():
     assert [room.height.value for room in (*lower.rooms, *upper.rooms) if room.height] == pytest.approx([2.5, 2.5])
 
 
-def test_what_does_not_reach_the_ceiling_is_no_wall():
-    closet = box((0.4, 3.6, 0.0), (2.0, 4.2, 2.0))
+def test_what_does_not_reach_the_ceiling_is_no_wall_and_a_pillar_is_a_hole_in_its_room():
+    closet, pillar = box((0.4, 3.6, 0.0), (2.0, 4.2, 2.0)), box((2.0, -3.5, 0.0), (2.8, -2.7, 2.5))
     assert areas(only(joint_of(planes_of() + closet))) == pytest.approx([12.0, 12.0, 17.5])
-
-
-def test_a_pillar_is_a_hole_in_its_room():
-    plan = only(joint_of(planes_of() + [one for one in box((2.0, -3.5, 0.0), (2.8, -2.7, 2.5)) if not one.normal[2]]))
-    room = next(room for room in plan.rooms if len(room.rings) == 2)
+    plan = only(joint_of(planes_of() + [one for one in pillar if not one.normal[2]]))
+    (room,) = [room for room in plan.rooms if len(room.rings) == 2]
     assert room.area.value == pytest.approx(17.5 - 0.64)
 
 

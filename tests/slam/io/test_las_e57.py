@@ -69,18 +69,13 @@ def test_las_that_declares_billions_of_points_records_or_chunks(name: str, tmp_p
             read_cloud(path)
 
 
-def test_e57_with_a_pose(tmp_path: Path):
-    path = write_e57(tmp_path / "ä b.e57", [(POINTS, POSES[2])])
-    cloud = read_cloud(path)
+def test_e57_with_a_pose_and_organised_without_one(tmp_path: Path):
+    cloud = read_cloud(write_e57(tmp_path / "ä b.e57", [(POINTS, POSES[2])]))
     np.testing.assert_allclose(cloud.points, POINTS, atol=1e-9)
     np.testing.assert_allclose(cloud.world_T_sensor, POSES[2], atol=1e-9)
-
-
-def test_e57_organised(tmp_path: Path):
     grid = seen_from(POSES[1], 0)
     grid[3, 5:9] = np.nan
-    path = write_e57(tmp_path / "a.e57", [(grid, None)], organised=True)
-    cloud = read_cloud(path)
+    cloud = read_cloud(write_e57(tmp_path / "a.e57", [(grid, None)], organised=True))
     np.testing.assert_allclose(cloud.points, grid, atol=1e-9)
     assert cloud.world_T_sensor is None
 

@@ -61,13 +61,10 @@ def test_who_stands_or_has_no_wheels_may_see_the_same_again_and_a_moment_tells_n
     assert kept(log) == list(range(12)) and not log.notes
 
 
-def test_scans_at_one_time_are_told_of():
+def test_scans_at_one_time_are_told_of_and_a_log_of_one_time_is_refused():
     log = driven([scan(0), scan(1), scan(1, scan(7).ranges), scan(2)], 0.1)
     assert len(plausible(log, RIG).scans()) == 4
     assert log.notes == ["1 of 4 scans of 'front' have the time of the one before: of each time one is used"]
-
-
-def test_a_log_of_one_time_is_refused():
     with pytest.raises(LogError, match="all 12 scans of 'front' have one time: expected times that grow"):
         plausible(driven([scan(1)] * 12, 0.1), RIG)
 

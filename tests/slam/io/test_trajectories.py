@@ -66,26 +66,16 @@ def test_kitti_round_trip_and_order(tmp_path):
         ("1 0 0 0 0 0 0 0\n", r"t\.tum:1: expected a unit quaternion, got one of norm 0"),
         ("1 0 0 0 1 1 0 0\n", r"t\.tum:1: expected a unit quaternion, got one of norm 1\.41"),
         ("1 " * 60_000, r"t\.tum:1: expected lines shorter"),
-    ],
-)
-def test_bad_tum_files(tmp_path, text, sentence):
-    (tmp_path / "t.tum").write_text(text)
-    with pytest.raises(LogError, match=sentence):
-        read_tum(tmp_path / "t.tum")
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
         ("1 0 0 0 0 1 0 0 0 0 1\n", r"k\.txt:1: expected 12 numbers, got 11"),
         ("2 0 0 0 0 1 0 0 0 0 1 0\n", r"k\.txt:1: expected a right-handed rotation"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0\n", r"k\.txt:1: expected a right-handed rotation"),
     ],
 )
-def test_bad_kitti_files(tmp_path, text, sentence):
-    (tmp_path / "k.txt").write_text(text)
+def test_bad_tum_and_kitti_files(tmp_path, text, sentence):
+    name, read = ("k.txt", read_kitti) if sentence.startswith("k") else ("t.tum", read_tum)
+    (tmp_path / name).write_text(text)
     with pytest.raises(LogError, match=sentence):
-        read_kitti(tmp_path / "k.txt")
+        read(tmp_path / name)
 
 
 def test_missing_and_cut_files(tmp_path):
