@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import llvmlite.binding
 import pytest
@@ -35,9 +36,8 @@ def brought(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.
         ({}, None, False),
     ],
 )
-def test_they_are_used_where_the_processor_has_what_they_need_and_no_other_is_asked_for(
-    brought: pytest.MonkeyPatch, features: dict[str, bool], asked_for: str | None, are_used: bool
-):
+def test_they_are_used_where_the_processor_has_what_they_need(brought, features, asked_for, are_used):
+    """And where no other processor is asked for."""
     brought.setattr(llvmlite.binding, "get_host_cpu_features", lambda: features)
     brought.setattr(config, "CPU_NAME", asked_for)
     assert _jit._are_brought() == are_used
@@ -51,20 +51,24 @@ def test_every_kernel_comes_through_here():
     assert theirs == []
 
 
-def test_it_is_said_once_that_something_is_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-):
+@pytest.fixture
+def twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable]:
+    """A kernel that is compiled when it is called."""
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
-    _jit._tell_of_compiling.cache_clear()
 
     @_jit.njit(cache=True)
     def twice(x):
         return 2 * x
 
+    yield twice
+    _jit.KERNELS.remove(twice)
+
+
+def test_it_is_said_once_that_something_is_compiled(twice: Callable, caplog: pytest.LogCaptureFixture):
+    _jit._tell_of_compiling.cache_clear()
     with caplog.at_level("INFO", logger="spplanes._jit"):
         assert twice(2) == 4 and twice(2) == 4 and twice(2.0) == 4.0
     assert [record.message[:29] for record in caplog.records] == ["compiling for this machine, o"]
-    _jit.KERNELS.remove(twice)
 
 
 def test_what_only_kernels_call_refuses_python_and_serves_kernels():
@@ -84,20 +88,9 @@ def test_what_only_kernels_call_refuses_python_and_serves_kernels():
         _jit.KERNELS.remove(kernel)
 
 
-def test_what_an_earlier_version_compiled_is_compiled_anew_where_a_module_has_moved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_what_an_earlier_version_compiled_is_compiled_anew_where_a_module_has_moved(twice: Callable, monkeypatch):
     """Numba's cache of a kernel names the modules of kernels that it calls, and is not told when these move."""
-
-    def load(*_: object) -> None:
-        raise ModuleNotFoundError("No module named 'spplanes._eigen'")
-
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(FunctionCache, "_load_overload", load)
-
-    @_jit.njit(cache=True)
-    def twice(x):
-        return 2 * x
-
+    moved = Mock(side_effect=ModuleNotFoundError("No module named 'spplanes._eigen'"))
+    monkeypatch.setattr(FunctionCache, "_load_overload", moved)
     assert twice(2) == 4
-    _jit.KERNELS.remove(twice)
+    assert moved.called

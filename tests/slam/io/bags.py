@@ -117,7 +117,8 @@ def write(folder: Path, kind: str, make: Any) -> Path:
         writer.set_compression(Writer1.CompressionFormat[kind[-3:].upper()])
         writer.chunk_threshold = 1000  # so that there are several
     if "zstd" in kind:
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        part = {"files": CompressionMode.FILE, "messages": CompressionMode.MESSAGE}
+        writer.set_compression(part.get(kind.split()[-1], CompressionMode.STORAGE), CompressionFormat.ZSTD)
     with writer:
         for topic, stamp_ns, message in make(messages):
             name = message.__msgtype__

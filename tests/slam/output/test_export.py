@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,8 @@ def run(tmp_path: Path) -> Path:
     write_ply(folder / "map.ply", mesh_of(planes))
     write_tum(folder / "trajectory.tum", path())
     write_json(folder / "metrics.json", {"metrics": as_json([Metric("planes", 2, "")]), "notes": []})
-    nis = {"plane": [(1, 2.5, 3), (2, 4.5, 3)]}
-    History(History.of(planes).seen, History.of(planes).kinds, nis, {0: np.eye(6) * 1e-6, 2: np.eye(6) * 1e-4}).write(
-        folder / "view.json"
-    )
+    nis, covariances = {"plane": [(1, 2.5, 3), (2, 4.5, 3)]}, {0: np.eye(6) * 1e-6, 2: np.eye(6) * 1e-4}
+    replace(History.of(planes), nis=nis, pose_covariances=covariances).write(folder / "view.json")
     (folder / "graph.g2o").write_text(GRAPH)
     return folder
 

@@ -50,9 +50,9 @@ def run(tmp_path: Path) -> Path:
     write_tum(folder / "trajectory.tum", given.trajectory)
     write_tum(folder / "odometry.tum", given.odometry)
     write_json(folder / "metrics.json", {"metrics": as_json(given.tables[0][1])})
-    about = History.of(given.planes)
     covariances = {k: np.diag([1e-4, 4e-4, 1e-6, 1e-6, 1e-6, 1e-6]) for k in (0, 15, 29)}
-    History(about.seen, about.kinds, given.history.nis, covariances).write(folder / "view.json")
+    history = replace(History.of(given.planes), nis=given.history.nis, pose_covariances=covariances)
+    history.write(folder / "view.json")
     return folder
 
 

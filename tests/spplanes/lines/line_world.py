@@ -33,9 +33,8 @@ class Truth:
 def cast(world: World, angles: np.ndarray, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
     """Intersect the beams of a laser at `pose` (x, y, theta) with the world."""
     ray = np.column_stack((np.cos(angles + pose[2]), np.sin(angles + pose[2])))
-    distances = np.concatenate(
-        (_segment_ranges(world.segments, ray, pose[:2]), _circle_ranges(world.circles, ray, pose[:2])), axis=1
-    )
+    to_walls, to_pillars = _segment_ranges(world.segments, ray, pose[:2]), _circle_ranges(world.circles, ray, pose[:2])
+    distances = np.concatenate((to_walls, to_pillars), axis=1)
     nearest = np.argmin(distances, axis=1)
     ranges = distances[np.arange(angles.size), nearest]
     n_segments = len(world.segments)
@@ -82,14 +81,11 @@ def random_room(rng: np.random.Generator) -> tuple[World, tuple[float, float, fl
     if rng.random() < 0.5:
         corners.insert(2, (width + slant[2] + rng.uniform(0.05, 0.3) * width, height * rng.uniform(0.3, 0.7)))
     pose = (rng.uniform(0.25, 0.75) * width, rng.uniform(0.25, 0.75) * height, rng.uniform(-np.pi, np.pi))
-    return World(
-        np.concatenate([polygon(corners), *_boxes(rng, width, height, pose)]), _pillars(rng, width, height, pose)
-    ), pose
+    segments = np.concatenate([polygon(corners), *_boxes(rng, width, height, pose)])
+    return World(segments, _pillars(rng, width, height, pose)), pose
 
 
-def _clear(
-    rng: np.random.Generator, width: float, height: float, pose: tuple[float, float, float], radius: float
-) -> tuple[float, float]:
+def _clear(rng, width: float, height: float, pose, radius: float) -> tuple[float, float]:
     while True:
         x, y = rng.uniform(0.15, 0.85) * width, rng.uniform(0.15, 0.85) * height
         if np.hypot(x - pose[0], y - pose[1]) > radius + 0.3:
@@ -182,9 +178,8 @@ def detectable_runs(
 def _well_defined(angles: np.ndarray, alpha: float, rho: float, sigma: float, config: LineConfig) -> bool:
     t, c = rho * np.tan(angles - alpha), np.cos(angles - alpha)
     half = 0.5 * np.ptp(t)
-    rows = (
-        np.column_stack((np.ones(t.size), (t - t.mean()) / half, ((t - t.mean()) / half) ** 2)) / (c * sigma)[:, None]
-    )
+    along = (t - t.mean()) / half
+    rows = np.column_stack((np.ones(t.size), along, along**2)) / (c * sigma)[:, None]
     arc_sigma = 4.0 * np.sqrt(np.linalg.inv(rows.T @ rows)[2, 2]) / half
     cov = np.linalg.inv(rows[:, :2].T @ rows[:, :2])
     shift, turn = cov[0, 0] - cov[0, 1] ** 2 / cov[1, 1], cov[1, 1] / half**2

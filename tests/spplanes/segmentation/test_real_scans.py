@@ -58,9 +58,10 @@ def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
     labels, planes = segmented(points, model)
     returns = np.isfinite(points).all(axis=-1)
     assert (labels >= 0).sum() > 0.85 * returns.sum()
-    floor = max((p for p in planes if p.normal[2] > 0.98), key=lambda p: p.n_points)
-    ceiling = max((p for p in planes if p.normal[2] < -0.98), key=lambda p: p.n_points)
-    wall = max((p for p in planes if p.normal[1] > 0.98), key=lambda p: p.n_points)
+    floor, ceiling, wall = (
+        max((p for p in planes if p.normal @ normal > 0.98), key=lambda p: p.n_points)
+        for normal in ((0, 0, 1), (0, 0, -1), (0, 1, 0))
+    )
     assert min(floor.n_points, wall.n_points) > 14000
     assert ceiling.n_points > 5000
     for plane in (floor, ceiling, wall):
