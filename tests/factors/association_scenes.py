@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 from shapely import box
 
 from factors import Association, AssociationGates, LandmarkExtents, LineObservation, Prediction, associate
@@ -113,13 +114,7 @@ def scene(pose_covariance: np.ndarray, rng: np.random.Generator, mapped: tuple[i
         values.insert(key(number), landmarks.start(key(number), plane, X, origin))
         landmarks[key(number)].pose_keys.add(-1)  # seen before
         blocks.append(tangent_covariance(plane))
-    size = 6 + 3 * len(mapped)
-    covariance = np.zeros((size, size))
-    covariance[:6, :6] = pose_covariance
-    for row, block in enumerate(blocks[1:]):
-        at = slice(6 + 3 * row, 9 + 3 * row)
-        covariance[at, at] = block
-    return Scene(values, [X, *map(key, mapped)], covariance, landmarks, truth)
+    return Scene(values, [X, *map(key, mapped)], block_diag(*blocks), landmarks, truth)
 
 
 def asked(scene: Scene, observations: list, **how: object) -> Association:

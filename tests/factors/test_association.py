@@ -10,6 +10,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.stats import binom
 from shapely import box
 
@@ -131,8 +132,7 @@ def test_of_two_faces_that_fit_it_is_the_one_that_was_seen_there():
         doors.append(Plane(moved, MAPPED, 500, box(low, -1.0, low + 1.0, 1.0)))
         values.insert(key(number), landmarks.start(key(number), doors[-1], X, values))
         landmarks[key(number)].pose_keys.add(-1)
-    covariance = np.zeros((12, 12))
-    covariance[:6, :6] = np.diag([1e-3, 1e-3, 1e-3, 0.02, 0.02, 1e-3]) ** 2
+    covariance = block_diag(np.diag([1e-3, 1e-3, 1e-3, 0.02, 0.02, 1e-3]) ** 2, np.zeros((6, 6)))
     prediction = Prediction.of_matrix(covariance, [X, key(0), key(1)], values, X)
     for number, door in enumerate(doors):
         [alone] = associate([drawn(door, MAPPED, np.random.default_rng(number))], prediction, landmarks).identities
@@ -182,10 +182,8 @@ def drifted(sigma_m: float, there: gtsam.Pose3, landmarks: LandmarkExtents) -> P
     values.insert(key(5), landmarks.start(key(5), front, anchor, origin, anchor_key=anchor))
     landmarks[key(5)].pose_keys.add(-1)
     together = np.vstack([pose.inverse().AdjointMap() for pose in (world_T_anchor, there)])
-    covariance = np.zeros((15, 15))
-    covariance[:12, :12] = together @ np.diag([1e-3, 1e-3, 1e-2, sigma_m, sigma_m, sigma_m]) ** 2 @ together.T
-    covariance[6:12, 6:12] += FIRM
-    covariance[12:, 12:] = MAPPED
+    shared = together @ np.diag([1e-3, 1e-3, 1e-2, sigma_m, sigma_m, sigma_m]) ** 2 @ together.T
+    covariance = block_diag(shared + block_diag(np.zeros((6, 6)), FIRM), MAPPED)
     return Prediction.of_matrix(covariance, [anchor, X, key(5)], values, X)
 
 
@@ -278,8 +276,7 @@ def test_a_wall_without_an_outline_goes_on(on_m: float):
     values.insert(X, gtsam.Pose3())
     known = fitted((0.0, 0.0), rng)
     values.insert(key(0), landmarks.start(key(0), known, X, values))
-    covariance = np.zeros((9, 9))
-    covariance[:6, :6], covariance[6:, 6:] = FIRM, tangent_covariance(known)
+    covariance = block_diag(FIRM, tangent_covariance(known))
     [one] = associate([fitted((on_m, 0.0), rng)], of_matrix(covariance, [X, key(0)], values, X), landmarks).identities
     assert one.verdict == "match"
 

@@ -11,6 +11,7 @@ import factors
 from factors import isam2_parameters, isam_covariance, joint_covariance, plane_factor, plane_landmark, pose_prior
 from spplanes import Plane
 from tests.factors.factor_scenes import TIED_NORMALS, A, L, X, frame_of, perturbed
+from tests.spplanes.fitting.fit_scenes import error_of
 from tests.statistics import mean_nees_band
 
 N_POSES, RADIUS_M, SEEN_FROM_M = 25, 4.0, 8.5
@@ -104,9 +105,7 @@ def scores(seed: int, parameters: gtsam.ISAM2Params | None) -> tuple[float, floa
         found = factors.world_plane_from_joint(
             landmark, pose, covariance([anchor, plane_key(j)]), centre=WALLS[j][:3, 3]
         )
-        true = np.linalg.inv(found.frame) @ WALLS[j]
-        normal = true[:3, 2] / true[2, 2]
-        error = np.array([normal @ true[:3, 3], normal[0], -normal[1]])
+        error = error_of(found.frame, WALLS[j])
         planes.append(error @ np.linalg.solve(found.covariance, error))
     return float(np.mean(poses)), float(np.mean(planes))
 

@@ -21,6 +21,7 @@ from tests.factors.factor_scenes import (
     random_pose,
     values_of,
 )
+from tests.spplanes.fitting.fit_scenes import error_of
 from tests.statistics import assert_mean_in_band
 
 RUNS = 200
@@ -29,9 +30,7 @@ TILTS = np.array([0.005, np.radians(0.1), np.radians(0.8)])
 
 def nees(plane: Plane, true_frame: np.ndarray) -> float:
     """p^T C^-1 p of the SP perturbation that takes the estimate to the truth."""
-    normal = true_frame[:3, 2]
-    x, y, origin = plane.frame[:3, 0], plane.frame[:3, 1], plane.frame[:3, 3]
-    p = np.array([normal @ (true_frame[:3, 3] - origin), x @ normal, -y @ normal])
+    p = error_of(plane.frame, true_frame)
     return float(p @ np.linalg.solve(plane.covariance, p))
 
 

@@ -9,6 +9,7 @@ from shapely import Polygon, box
 from spplanes import Location, Moments, Plane
 from spplanes._hesse import hesse_jacobian
 from spplanes.spmodel import inverse_transform, transform_from_rpy
+from tests.spplanes.fitting.fit_scenes import error_of
 from tests.statistics import assert_jacobian, assert_mean_in_band, central_differences, nees
 
 
@@ -137,8 +138,7 @@ def test_merge_fuses_correlated_planes_as_information_does():
         a = Plane(true.frame, root_a @ root_a.T, 5)
         b = Plane(true.frame @ shift, root_b @ root_b.T, 7)
         merged = perturbed(a, root_a @ rng.normal(size=3)).merge(perturbed(b, root_b @ rng.normal(size=3)))
-        n, centre = (inverse_transform(merged.frame) @ true.frame)[:3, 2:].T
-        errors.append([n @ centre / n[2], n[0] / n[2], -n[1] / n[2]])
+        errors.append(error_of(merged.frame, true.frame))
         covariances.append(merged.covariance)
     assert_mean_in_band(nees(np.array(errors), np.array(covariances)), 3)
 

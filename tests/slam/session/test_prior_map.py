@@ -32,6 +32,7 @@ from spplanes.spmodel import transform_from_rpy
 from tests.factors.factor_scenes import assert_jacobian
 from tests.slam.commands import refused, run
 from tests.slam.scenes import SIGMAS, Drive, drive, measured, planar_nees, room_planes, run_of
+from tests.spplanes.fitting.fit_scenes import error_of
 from tests.statistics import assert_mean_in_band, central_differences
 
 #: Floor and three walls are mapped first; ceiling and the fourth wall are new to the second mission.
@@ -90,7 +91,7 @@ def test_the_joint_covariance_of_a_map_is_that_of_its_planes_together():
         for row, one in enumerate(slam.planes):
             block = covariance[3 * row : 3 * row + 3, 3 * row : 3 * row + 3]
             np.testing.assert_allclose(block, one.plane.covariance, rtol=1e-6, atol=1e-15)
-        error = np.concatenate([deviation(one.plane.frame, truth_of(one)) for one in slam.planes])
+        error = np.concatenate([error_of(one.plane.frame, truth_of(one).frame) for one in slam.planes])
         joint.append(error @ np.linalg.solve(covariance, error))
     assert_mean_in_band(np.array(joint), 12)
 
@@ -107,7 +108,7 @@ def test_what_planes_of_a_map_share_is_what_the_graph_says_they_do():
         now, found = values.retract(steps), []
         for one, known in zip(owners, slam.planes, strict=True):
             world = now.atOrientedPlane3(one.key).transform(now.atPose3(one.anchor_key).inverse()).planeCoefficients()
-            found.append(deviation(known.plane.frame, Plane.from_hesse(world[:3], -world[3], np.zeros((3, 3)))))
+            found.append(error_of(known.plane.frame, Plane.from_hesse(world[:3], -world[3], np.zeros((3, 3))).frame))
         return np.concatenate(found)
 
     sizes = [6 if chr(key >> 56) == "x" else 3 for key in keys]
@@ -118,12 +119,6 @@ def test_what_planes_of_a_map_share_is_what_the_graph_says_they_do():
     found = map_covariance(slam.planes, slam.landmarks, slam.backend)
     np.testing.assert_allclose(found / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=0.02)
     assert np.abs(np.triu(expected / np.outer(sigmas, sigmas), 3)).max() > 0.1
-
-
-def deviation(frame: np.ndarray, truth: Plane) -> np.ndarray:
-    """(z, theta, psi) that takes the plane of a frame to the truth, to first order."""
-    x, y, origin = frame[:3, 0], frame[:3, 1], frame[:3, 3]
-    return np.array([truth.d - truth.normal @ origin, x @ truth.normal, -y @ truth.normal])
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.05])

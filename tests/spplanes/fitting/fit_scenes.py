@@ -9,6 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from spplanes.spmodel import inverse_transform
+from tests.statistics import nees
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,11 @@ class Scene:
         h, total = self.linear()
         return np.linalg.inv(h.T @ np.linalg.solve(total, h))
 
-    def error(self, frame: np.ndarray) -> np.ndarray:
-        """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame."""
-        n = frame[:3, :3].T @ self.frame[:3, 2]
-        z = n @ (frame[:3, :3].T @ (self.frame[:3, 3] - frame[:3, 3])) / n[2]
-        return np.array([z, np.arctan2(n[0], n[2]), -np.arctan2(n[1], n[2])])
+
+def error_of(frame: np.ndarray, true_frame: np.ndarray) -> np.ndarray:
+    """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame."""
+    n, centre = (inverse_transform(frame) @ true_frame)[:3, 2:].T
+    return np.array([n @ centre / n[2], np.arctan2(n[0], n[2]), -np.arctan2(n[1], n[2])])
 
 
 def psd_roots(covariances: np.ndarray) -> np.ndarray:
@@ -177,10 +178,9 @@ def run(scene: Scene, fit, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray
     errors, local, covariances = np.empty((runs, 3)), np.empty((runs, 3)), np.empty((runs, 3, 3))
     for r in range(runs):
         plane = fit(scene.sample(rng), scene)
-        errors[r], covariances[r] = scene.error(plane.frame), plane.covariance
+        errors[r], covariances[r] = error_of(plane.frame, scene.frame), plane.covariance
         local[r] = estimate_in(scene.frame, plane.frame)
-    nees = np.einsum("ri,ri->r", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
-    return nees, local, covariances
+    return nees(errors, covariances), local, covariances
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spplanes import fit_plane
-from tests.spplanes.fitting.fit_scenes import Scene, linear_run, loss, plane_frame, run, scenes
+from tests.spplanes.fitting.fit_scenes import Scene, error_of, linear_run, loss, plane_frame, run, scenes
 from tests.statistics import assert_mean_in_band, nees
 
 RUNS = 2000
@@ -100,7 +100,7 @@ def test_signs_of_the_correlations(make, method, runs):
     errors, covariances, rng = [], [], np.random.default_rng(9)
     for _ in range(runs):
         plane = fit(method)(scene.sample(rng), scene)
-        errors.append(scene.error(plane.frame))
+        errors.append(error_of(plane.frame, scene.frame))
         covariances.append(plane.covariance)
     errors, covariances = np.array(errors), np.array(covariances)
     values = nees(errors, covariances)

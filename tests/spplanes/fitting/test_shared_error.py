@@ -6,6 +6,7 @@ from scipy.stats import chi2
 
 from spplanes import fit_plane, fit_planes
 from spplanes.fitting.shared_error import _log_likelihood, _Patches, shared_error_of
+from tests.spplanes.fitting.fit_scenes import error_of
 
 SIGMA_M, N_WALLS, EYE = 0.005, 6, (0.0, 0.0, 9.0)
 
@@ -39,17 +40,16 @@ def told(points: list[np.ndarray], stated: float = 1.0):
     return found, planes
 
 
-def errors_of(plane) -> np.ndarray:
-    """Errors of (z, theta, psi), shape (3,)."""
-    slope = plane.frame[:3, :3].T @ (0.0, 0.0, 1.0)
-    return np.array([-plane.centre[2] / plane.normal[2], slope[0] / slope[2], -slope[1] / slope[2]])
+def squared_tilts(plane) -> np.ndarray:
+    """Of a wall z = 0, over what is claimed of them, shape (2,)."""
+    return error_of(plane.frame, np.eye(4))[1:] ** 2 / np.diagonal(plane.covariance)[1:]
 
 
 def walls(octave_m: float, seed: int):
     """What is said of six walls, and their errors (6, 3)."""
     rng = np.random.default_rng(seed)
     found, planes = told([wall(octave_m, rng) for _ in range(N_WALLS)])
-    return found, np.array([errors_of(plane) for plane in planes])
+    return found, np.array([error_of(plane.frame, np.eye(4)) for plane in planes])
 
 
 def test_exact_walls_keep_the_covariance_of_their_noise():
@@ -90,7 +90,7 @@ def test_of_surfaces_that_differ_each_is_known_as_well_as_is_said():
     for _ in range(20):
         points = np.concatenate([wall(octave_m, rng) for octave_m in (0.001, 0.003, 0.01) for _ in range(3)])
         planes = fit_planes(points, labels=labels, sigma=SIGMA_M, viewpoint=EYE)
-        found.append([errors_of(plane)[1:] ** 2 / np.diagonal(plane.covariance)[1:] for plane in planes])
+        found.append([squared_tilts(plane) for plane in planes])
     means = np.array(found).reshape(20, 3, 6).mean(axis=(0, 2))  # 120 tilts: a standard deviation of 0.13
     assert (means > 0.4).all() and (means < 1.6).all()  # the least uneven 0.14 where most are taken to be alike
 
@@ -110,7 +110,7 @@ def test_one_fit_is_as_sure_as_it_says_on_walls_that_wander_and_on_exact_ones(oc
         points = wall(octave_m, rng)
         for chosen, shared_error in ((tilts, True), (stated, False)):
             plane = fit_plane(points, sigma=SIGMA_M, viewpoint=EYE, shared_error=shared_error)
-            chosen.append(errors_of(plane)[1:] ** 2 / np.diagonal(plane.covariance)[1:])
+            chosen.append(squared_tilts(plane))
     assert 0.6 < np.mean(tilts) < 1.4  # 180 tilts: a standard deviation of 0.11
     assert (np.mean(stated) > 30.0) == (octave_m > 0.0)
 
