@@ -1,7 +1,5 @@
 """A room with a box in it, seen from one pose that is uncertain: for association with known answers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import gtsam

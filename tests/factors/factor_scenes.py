@@ -1,7 +1,5 @@
 """What the factor tests share: random scenes, perturbed measurements, numerical derivatives."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Association for a graph of one's own: calibrated, independent of orders, joint, the same from every source."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from dataclasses import FrozenInstanceError, replace

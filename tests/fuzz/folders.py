@@ -1,7 +1,5 @@
 """Readers of what other programs wrote, natively or in several files: bags, LAS, E57, depth images, folders, runs."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tempfile

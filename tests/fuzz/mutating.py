@@ -1,7 +1,5 @@
 """Changes that keep the form of an input: blind ones of single bytes seldom get past the first check of a format."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct

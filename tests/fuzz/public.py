@@ -1,7 +1,5 @@
 """Every public function that takes arrays, each fed with any floats: the first number chooses which."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache

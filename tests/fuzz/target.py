@@ -1,7 +1,5 @@
 """What a target is: bytes in, an answer that holds together or a ValueError of one sentence out."""
 
-from __future__ import annotations
-
 import tempfile
 import traceback
 import warnings

@@ -3,8 +3,6 @@
 Any bytes must lead to an answer that holds together or to a ValueError of one sentence.
 """
 
-from __future__ import annotations
-
 import gzip
 import json
 from functools import cache

@@ -2,8 +2,6 @@
 those that once broke something.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import sqlite3

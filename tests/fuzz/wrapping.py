@@ -1,7 +1,5 @@
 """Checksums and packed members made whole round what the fuzzer invents: blind changes get no further than those."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile

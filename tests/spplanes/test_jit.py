@@ -1,7 +1,5 @@
 """Kernels that a wheel brings are used where they can run, and where nobody asked for others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from unittest.mock import Mock

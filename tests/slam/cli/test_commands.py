@@ -1,7 +1,5 @@
 """The command line: exit codes, one sentence on stderr, nothing half-written."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`spplanes join`: a run's folder of several, what cannot be used named and left out, bad input in one sentence."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3

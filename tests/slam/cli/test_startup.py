@@ -1,7 +1,5 @@
 """What is refused or printed at once: exit codes, one sentence, nothing written, nothing heavy imported."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

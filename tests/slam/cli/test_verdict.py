@@ -1,7 +1,5 @@
 """Every run ends with its verdict: a line, metrics.json, the page; the exit code only where it is asked for."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Facing planes: distance, angle, and a standard deviation that holds."""
 
-from __future__ import annotations
-
 import numpy as np
 from shapely import Polygon, box
 

@@ -1,7 +1,5 @@
 """Sharpness: thin walls by true poses, thicker ones by poses that are off, and only planes that several scans share."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Buildings as exact planes with a joint covariance of one's own making."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The joint covariance of a map's planes: its blocks, its derivatives, and how sure it makes the rooms of offices."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from types import SimpleNamespace
 

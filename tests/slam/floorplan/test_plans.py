@@ -1,7 +1,5 @@
 """Floor plans of buildings that are exactly known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

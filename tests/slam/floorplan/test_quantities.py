@@ -1,7 +1,5 @@
 """Corners, lengths, distances and areas: their derivatives, what they do not depend on, and how they are written."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

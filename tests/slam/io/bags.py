@@ -1,7 +1,5 @@
 """ROS 1 and ROS 2 bags of any messages, written by rosbags."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Folders of clouds: order, times, poses and odometry found in names and in files beside them; slam and map on them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Clouds in files: what others wrote is read as they meant it; what is damaged is one sentence."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """Depth images: one alone, and folders of them as TUM RGB-D and ICL-NUIM have them."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """g2o files: GTSAM graphs with planes out and in, held against g2o's own definitions of its errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gtsam

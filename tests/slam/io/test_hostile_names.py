@@ -1,7 +1,5 @@
 """Files that mean harm: names that come out of them lead nowhere, what grows out of proportion is refused."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

@@ -1,7 +1,5 @@
 """LAS, LAZ and E57 as laspy and pye57 write them."""
 
-from __future__ import annotations
-
 import builtins
 from pathlib import Path
 

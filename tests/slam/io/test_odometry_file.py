@@ -1,7 +1,5 @@
 """Truth is never odometry: what a folder calls poses is not taken for it, a file given is, and says so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

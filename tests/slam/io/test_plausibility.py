@@ -1,7 +1,5 @@
 """What no working sensor says: distances in another unit, one scan over and over, two scans at one time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """ROS 1 and ROS 2 bags, written by rosbags: every layout of a cloud, mounts from tf, topics chosen and named."""
 
-from __future__ import annotations
-
 import bz2
 from itertools import islice
 from pathlib import Path

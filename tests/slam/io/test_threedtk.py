@@ -1,7 +1,5 @@
 """3DTK folders: axes, units, organisation, and what is said about broken ones."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

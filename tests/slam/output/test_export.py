@@ -1,7 +1,5 @@
 """A run's folder out to files of other tools, and each of them read back."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Floor plans as DXF, SVG and IFC, read back; and from the folder of a run."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """A map levelled by its floor: the same map by other coordinates."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs killed at random moments, sessions damaged at random places: is anything lost, or read that is wrong?"""
 
-from __future__ import annotations
-
 import multiprocessing
 import shutil
 import signal

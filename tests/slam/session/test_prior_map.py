@@ -1,7 +1,5 @@
 """A finished map as the prior of another mission: honest about where the robot is, extended by what is new."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

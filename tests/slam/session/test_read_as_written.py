@@ -1,7 +1,5 @@
 """Measurements that are read as they were written, and those that are not: what `encode_and_compare` says of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Runs from the command line that end early and go on; their folder; full disks, read-only folders, two writers."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import resource

@@ -1,7 +1,5 @@
 """The session on disk: bit for bit, one writer, readers that may be killed, nothing read that was not written."""
 
-from __future__ import annotations
-
 import sqlite3
 import subprocess
 import sys

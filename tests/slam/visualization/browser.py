@@ -1,7 +1,5 @@
 """A headless Chromium, driven over W3C WebDriver with the standard library alone; tests without one are skipped."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

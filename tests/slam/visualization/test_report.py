@@ -1,7 +1,5 @@
 """The page of a run: what it is made of, and that it works in a real browser, from disk, without a network."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Pictures, page and recording of a run, from its folder alone."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Pose errors that points share: with one joint covariance of all scan poses, and scan by scan at their limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag

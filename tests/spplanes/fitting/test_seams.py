@@ -1,7 +1,5 @@
 """Where planes meet, and where slanted beams meet them: what noise decides must not bend a plane."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from spplanes import segment_cloud

@@ -1,7 +1,5 @@
 """A 2D world of segments and circles, random rooms and corridors, a ray caster, and what lines are judged by there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The ends of a window's planes: returns that may be of something else bend no plane."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

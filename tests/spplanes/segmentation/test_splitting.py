@@ -1,7 +1,5 @@
 """Planes of a push-broom window that are two: told apart where the points tell, left alone where they are one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
