@@ -25,6 +25,9 @@ def scanner_points(range_cm: float = 250.0) -> np.ndarray:
     return range_cm * np.stack((x, across * np.sin(tilt), across * np.cos(tilt)), axis=-1).reshape(-1, 3)
 
 
+CUT_OFF = gzip.compress(scanner_points().tobytes())[:200]
+
+
 def write_scan(folder: Path, number: int, points: np.ndarray, pose: str = "0 0 0\n0 0 0\n", *, packed: bool = True):
     folder.mkdir(parents=True, exist_ok=True)
     text = "".join(f"{x:.6g} {y:.6g} {z:.6g}\n" for x, y, z in points).encode()
@@ -80,7 +83,7 @@ def test_a_point_moved_before_or_after_the_change_of_axes_is_the_same(tmp_path: 
         ("scan000.3d", bytes(range(256)), r"scan000\.3d:2: expected numbers as text, got other bytes"),
         ("scan000.3d", b"0 0 3276\n1 1 3276\n", r"scan000\.3d: expected at least one return within 32 m, got none"),
         ("scan000.3d", b"1 2 inf\n", r"scan000\.3d:1: expected finite numbers"),
-        ("scan000.3d.gz", gzip.compress(scanner_points().tobytes())[:200], "the gzip data is cut off or damaged"),
+        ("scan000.3d.gz", CUT_OFF, r"scan000\.3d\.gz: the gzip data is cut off or damaged"),
     ],
 )
 def test_a_scan_or_a_pose_that_is_bad_is_named_with_its_line(tmp_path: Path, name: str, content: bytes, message: str):
