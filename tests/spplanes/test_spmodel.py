@@ -3,15 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spplanes import Location
-from spplanes.spmodel import (
-    adjoint,
-    inverse_transform,
-    joint_covariance,
-    rows_of,
-    rpy_from_transform,
-    transform_from_rpy,
-)
+from spplanes import Location, spmodel
+from spplanes.spmodel import adjoint, inverse_transform, joint_covariance, rpy_from_transform, transform_from_rpy
 from tests.statistics import assert_jacobian, central_differences
 
 BINDINGS = [(0, 1, 2), (2, 4, 5), (1, 3), (0, 1, 3), (0, 1, 2, 3, 4, 5), (4,)]
@@ -106,4 +99,4 @@ def test_binding_selects_rows():
     plane = Location.plane(np.eye(4), np.diag([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(plane.binding, np.eye(6)[[2, 4, 5]])
     np.testing.assert_array_equal(plane.differential_covariance, np.diag([0, 0, 1.0, 0, 2.0, 3.0]))
-    assert rows_of(("z", "theta", "psi")) == (2, 4, 5)
+    assert spmodel.rows_of(("z", "theta", "psi")) == (2, 4, 5)

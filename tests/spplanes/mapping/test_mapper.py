@@ -10,6 +10,8 @@ from tests.statistics import assert_mean_in_band
 
 SIGMA = 0.01
 SMALL = {"strip_scans": 16, "lookahead_scans": 4}
+#: Of the planes of the corridor.
+NORMALS, DISTANCES = np.array([(0, -1, 0), (0, 1, 0), (0, 0, -1)]), (-1.0, -1.0, -1.5)
 
 
 def corridor(n_scans, seed=0, n_beams=120, sigma=SIGMA):
@@ -44,12 +46,10 @@ def test_corridor_is_two_walls_and_a_ceiling():
     assert mapper.n_points_represented == (labels >= 0).sum() == sum(plane.n_points for plane in planes)
     for k, plane in enumerate(planes):
         side = int(np.bincount(scans[3][labels == k]).argmax())
-        normal = np.array([(0, -1, 0), (0, 1, 0), (0, 0, -1)][side])
         assert (labels[scans[3] == side] == k).mean() > 0.97
-        assert plane.normal @ normal > np.cos(0.005)
-        assert plane.d == pytest.approx([-1.0, -1.0, -1.5][side], abs=0.003)
-        height = 2.97 * (1.5 if side < 2 else 2.0)
-        assert plane.outline.area == pytest.approx(height, rel=0.07)
+        assert plane.normal @ NORMALS[side] > np.cos(0.005)
+        assert plane.d == pytest.approx(DISTANCES[side], abs=0.003)
+        assert plane.outline.area == pytest.approx(2.97 * (1.5 if side < 2 else 2.0), rel=0.07)
 
 
 def test_incremental_agrees_with_all_at_once():
@@ -224,7 +224,7 @@ def test_shared_pose_errors_reach_the_planes():
     plain = build(scans, MapperConfig(**SMALL)).planes
     shared = build(scans, MapperConfig(**SMALL, pose_correlation_scans=1e9), pose_covariance=pose).planes
     for plane in plain:
-        other = min(shared, key=lambda q: -(q.normal @ plane.normal))
+        other = max(shared, key=lambda q: q.normal @ plane.normal)
         sideways = abs(plane.normal[1]) > 0.5
         added = other.covariance[0, 0] - plane.covariance[0, 0]
         assert added == pytest.approx(1e-4 if sideways else 0.0, rel=0.02, abs=2e-7)
@@ -235,9 +235,8 @@ def test_planes_of_slanted_beams_err_as_their_covariance_says():
     for seed in range(15):
         points, covariances, eyes, side = corridor(100, 20 + seed, sigma=0.03)
         for plane in build((points, covariances, eyes, side), MapperConfig(**SMALL)).planes:
-            k = int(np.argmax(np.abs(plane.normal[[1, 1, 2]]) * [plane.normal[1] < 0, plane.normal[1] > 0, 1]))
-            normal, d = np.array([(0, -1, 0), (0, 1, 0), (0, 0, -1)][k]), [-1.0, -1.0, -1.5][k]
-            values.append(plane.mahalanobis(Plane.from_hesse(normal, d, np.zeros((3, 3)))))
+            k = int(np.argmax(NORMALS @ plane.normal))
+            values.append(plane.mahalanobis(Plane.from_hesse(NORMALS[k], DISTANCES[k], np.zeros((3, 3)))))
     assert len(values) == 45
     assert_mean_in_band(values, 3, 0.998)
 

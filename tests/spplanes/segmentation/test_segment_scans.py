@@ -8,6 +8,8 @@ from tests.spplanes.scenes import anywhere, beam_covariances, box, cast, noisy, 
 from tests.statistics import assert_mean_in_band
 
 SIGMA = 0.005
+ONES, NEGATIVE = np.ones((4, 4, 3)), {"sigma": 0.1, "pose_covariances": -np.tile(np.eye(6), (4, 1, 1))}
+WALL = cast(rays(), [((1, 0, 0), 3.0, anywhere)])[0]
 
 
 def test_room_is_five_whole_planes_seen_from_inside():
@@ -49,10 +51,9 @@ def test_covariance_is_honest():
 
 
 def test_stated_surface_errors_shift_planes_alike_and_tilt_larger_ones_less():
-    exact = cast(rays(), [((1, 0, 0), 3.0, anywhere)])[0]
     added = []
     for scale in (1.0, 4.0):
-        points = noisy(scale * exact, SIGMA, 4)
+        points = noisy(scale * WALL, SIGMA, 4)
         plain = segment_scans(points, sigma=SIGMA)[1][0]
         floor = segment_scans(points, sigma=SIGMA, config=MapperConfig(surface_sigma_m=0.01))[1][0]
         added.append(np.diag(floor.covariance - plain.covariance))
@@ -71,14 +72,11 @@ def test_parallel_planes_centimetres_apart_stay_two(step, expected):
 
 
 def test_a_jerking_mount_does_not_cut_a_wall_when_it_is_known():
-    exact, _ = cast(rays(), [((1, 0, 0), 3.0, anywhere)])
     jerks = 0.03 * np.sin(np.arange(48) / 2.0)
-    points = noisy(exact, 0.005, 10) + jerks[:, None, None] * np.array([1.0, 0.0, 0.0])
+    points = noisy(WALL, 0.005, 10) + jerks[:, None, None] * np.array([1.0, 0.0, 0.0])
     pose = np.tile(np.diag([4e-4, 4e-4, 4e-4, 0, 0, 0]), (48, 1, 1))
-    unknown = segment_scans(points, sigma=0.005)[1]
-    known = segment_scans(points, sigma=0.005, pose_covariances=pose)[1]
-    assert len(unknown) > 1
-    assert len(known) == 1
+    assert len(segment_scans(points, sigma=0.005)[1]) > 1
+    assert len(segment_scans(points, sigma=0.005, pose_covariances=pose)[1]) == 1
 
 
 @pytest.mark.parametrize(
@@ -112,18 +110,14 @@ def test_the_plane_of_a_scan_is_no_surface():
         (np.zeros((4, 3)), {"sigma": 0.1}, r"points: expected shape \(S, B, 3\), got \(4, 3\)"),
         (np.zeros((4, 4, 3)), {}, "expected exactly one of covariances and sigma"),
         (np.zeros((4, 4, 3)), {"sigma": 0.0}, "sigma: expected a positive finite number"),
-        (np.ones((4, 4, 3)), {"sigma": -np.ones((4, 4))}, "sigma: expected positive finite numbers"),
-        (np.ones((4, 4, 3)), {"covariances": np.eye(3)}, r"covariances: expected shape \(4, 4, 3, 3\)"),
-        (np.ones((4, 4, 3)), {"covariances": np.tile(-np.eye(3), (4, 4, 1, 1))}, "positive semidefinite"),
-        (np.ones((4, 4, 3)), {"covariances": np.zeros((4, 4, 3, 3))}, "covariances: expected some uncertainty in"),
-        (np.ones((4, 4, 3)), {"covariances": np.full((4, 4, 3, 3), np.nan)}, "covariances: expected finite numbers"),
-        (
-            np.ones((4, 4, 3)),
-            {"sigma": 0.1, "pose_covariances": np.tile(-np.eye(6), (4, 1, 1))},
-            "pose_covariances: expected a positive semidefinite covariance",
-        ),
-        (np.ones((4, 4, 3)), {"sigma": 0.1, "viewpoints": np.zeros((3, 3))}, r"viewpoints: expected shape \(4, 3\)"),
-        (np.ones((4, 4, 3)), {"sigma": 0.1, "pose_covariances": np.eye(6)}, r"pose_covariances: expected shape \(4, 6"),
+        (ONES, {"sigma": -np.ones((4, 4))}, "sigma: expected positive finite numbers"),
+        (ONES, {"covariances": np.eye(3)}, r"covariances: expected shape \(4, 4, 3, 3\)"),
+        (ONES, {"covariances": np.tile(-np.eye(3), (4, 4, 1, 1))}, "positive semidefinite"),
+        (ONES, {"covariances": np.zeros((4, 4, 3, 3))}, "covariances: expected some uncertainty in"),
+        (ONES, {"covariances": np.full((4, 4, 3, 3), np.nan)}, "covariances: expected finite numbers"),
+        (ONES, NEGATIVE, "pose_covariances: expected a positive semidefinite covariance"),
+        (ONES, {"sigma": 0.1, "viewpoints": np.zeros((3, 3))}, r"viewpoints: expected shape \(4, 3\)"),
+        (ONES, {"sigma": 0.1, "pose_covariances": np.eye(6)}, r"pose_covariances: expected shape \(4, 6"),
     ],
 )
 def test_bad_input_is_one_sentence(points, kwargs, message):
@@ -150,9 +144,7 @@ def test_config_is_checked(field, value):
 
 
 def test_literal_edge_test_throws_a_good_wall_away():
-    exact, _ = cast(rays(), [((1, 0, 0), 3.0, anywhere)])
-    covariances = beam_covariances(exact, 0.005, 0.003)
-    points = noisy(exact, 0.005, 12)
+    points, covariances = noisy(WALL, 0.005, 12), beam_covariances(WALL, 0.005, 0.003)
     assert len(segment_scans(points, covariances)[1]) == 1
     assert segment_scans(points, covariances, config=MapperConfig(literal_edge_test=True))[1] == []
 
