@@ -24,7 +24,7 @@ from slam.simulation import Mission
 from slam.simulation.record import Plan, record
 from slam.simulation.robots import spinning_rig
 from slam.visualization.mesh import mesh_of
-from tests.slam.commands import command
+from tests.slam.commands import command, refused
 from tests.slam.floorplan.buildings import joint_of, planes_of
 
 SPACING_M = 0.8
@@ -216,8 +216,8 @@ def copied(run: Path, folder: Path, *names: str) -> Path:
 
 def test_a_run_without_session_says_so(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     bare = copied(run, tmp_path / "bare", "planes.json", "trajectory.tum", "metrics.json")
-    assert command("export", bare, "--to", tmp_path / "plan.svg") == 2
-    assert "expected a run with its session.db, from which the joint covariance" in capsys.readouterr().err
+    said = refused(capsys, "export", bare, "--to", tmp_path / "plan.svg")
+    assert "expected a run with its session.db, from which the joint covariance" in said
     assert not (tmp_path / "plan.svg").exists()
 
 

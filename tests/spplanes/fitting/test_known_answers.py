@@ -110,10 +110,9 @@ def test_pose_perturbation_moves_the_plane_as_told(method, axis):
     def moved(step):
         # The noise turns with the scan; for ml its orientation matters to first order.
         turn = np.eye(3) if axis < 3 else np.eye(3) + step * np.cross(np.eye(3), np.eye(3)[5 - axis]).T
-        rotated, eye = turn @ covariances @ turn.T, plain.centre + plain.normal
-        return location.perturbation_to(
-            fit_plane(points + step * direction, rotated, method=method, viewpoint=eye).frame
-        )
+        cloud, eye = points + step * direction, plain.centre + plain.normal
+        there = fit_plane(cloud, turn @ covariances @ turn.T, method=method, viewpoint=eye)
+        return location.perturbation_to(there.frame)
 
     g = (moved(1e-5) - moved(-1e-5)) / 2e-5
     added = with_pose.covariance - plain.covariance
