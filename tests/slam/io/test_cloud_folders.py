@@ -168,15 +168,13 @@ def test_what_a_mixed_folder_leaves_out_is_said(tmp_path: Path):
     assert "read a mission's log, left out clouds in the same folder" in log.notes
 
 
-def test_a_folder_of_bags_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_folder_of_bags_is_no_log_and_a_map_needs_poses(folder: Path, tmp_path: Path, capsys):
+    (tmp_path / "bags").mkdir()
     for name in ("monday.bag", "tuesday.bag"):
-        (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n")
-    sentence = refused(capsys, "slam", tmp_path, "--out", tmp_path / "run")
+        (tmp_path / "bags" / name).write_bytes(b"#ROSBAG V2.0\n")
+    sentence = refused(capsys, "slam", tmp_path / "bags", "--out", tmp_path / "run")
     assert "expected one log, got a folder of 2 bags: give one of them, such as monday.bag" in sentence
-
-
-def test_a_map_needs_poses(folder: Path, capsys: pytest.CaptureFixture[str]):
-    assert "expected a pose with every scan" in refused(capsys, "map", folder, "--out", folder.parent / "map")
+    assert "expected a pose with every scan" in refused(capsys, "map", folder, "--out", tmp_path / "map")
 
 
 def walls_of(path: Path) -> list[tuple[FloatArray, float]]:

@@ -104,7 +104,7 @@ def test_a_broken_history_is_refused(run: Path):
             History.read(run / "view.json")
 
 
-def test_a_run_is_read_back_as_it_was(run: Path):
+def test_a_run_is_read_back_as_it_was_and_planes_json_byte_for_byte(run: Path):
     stored = StoredRun.read(run)
     for plane, given in zip(stored.planes, two_planes(), strict=True):
         assert (plane.id, plane.observations, plane.kinds) == (given.id, given.observations, given.kinds)
@@ -113,10 +113,6 @@ def test_a_run_is_read_back_as_it_was(run: Path):
     np.testing.assert_array_equal(stored.history.pose_covariances[2], np.eye(6) * 1e-4)
     assert stored.tables == [("the run", [Metric("planes", 2, "")])]
     assert len(stored.trajectory) == 3 and len(stored.odometry) == 0
-
-
-def test_planes_json_comes_back_byte_for_byte(run: Path):
-    stored = StoredRun.read(run)
     write_planes(run / "again.json", stored.planes)
     assert (run / "again.json").read_bytes() == (run / "planes.json").read_bytes()
     for entry, given in zip(read_map(run / "planes.json"), two_planes(), strict=True):
@@ -190,15 +186,12 @@ def test_open3d_reads_the_glb(tmp_path: Path):
     np.testing.assert_allclose(np.asarray(mesh.triangle_normals), np.tile(normal, (len(mesh.triangles), 1)), atol=1e-5)
 
 
-def test_far_from_the_origin_single_precision_is_enough(tmp_path: Path):
+def test_far_from_the_origin_single_precision_is_enough_and_an_empty_map_is_a_valid_glb(tmp_path: Path):
     far = wall(frame=wall().plane.frame + np.pad([[1e6], [2e6], [0]], ((0, 1), (3, 0))))
     write_glb(tmp_path / "far.glb", [far])
     document, _ = glb_parts(tmp_path / "far.glb")
     assert document["nodes"][1]["translation"] == far.plane.centre.tolist()
     assert max(np.abs(document["accessors"][0]["max"])) < 3.0
-
-
-def test_an_empty_map_is_a_valid_glb(tmp_path: Path):
     write_glb(tmp_path / "empty.glb", [])
     document, binary = glb_parts(tmp_path / "empty.glb")
     assert binary == b"" and document["scenes"] == [{"nodes": [0]}]

@@ -206,23 +206,14 @@ def test_the_plan_of_a_run_is_that_of_its_planes(run: Path):
     assert [one.id for one in plan.joint.planes] == [one.id for one in stored.planes]
 
 
-def copied(run: Path, folder: Path, *names: str) -> Path:
-    """Some files of a run in another folder."""
-    folder.mkdir()
-    for name in names:
-        (folder / name).write_bytes((run / name).read_bytes())
-    return folder
-
-
-def test_a_run_without_session_says_so(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    bare = copied(run, tmp_path / "bare", "planes.json", "trajectory.tum", "metrics.json")
-    said = refused(capsys, "export", bare, "--to", tmp_path / "plan.svg")
+def test_a_run_without_session_says_so_and_planes_that_are_not_the_session_s_are_refused(run, tmp_path: Path, capsys):
+    (other := tmp_path / "other").mkdir()
+    for name in ("planes.json", "trajectory.tum", "metrics.json"):
+        (other / name).write_bytes((run / name).read_bytes())
+    said = refused(capsys, "export", other, "--to", tmp_path / "plan.svg")
     assert "expected a run with its session.db, from which the joint covariance" in said
     assert not (tmp_path / "plan.svg").exists()
-
-
-def test_planes_that_are_not_the_session_s_are_refused(run: Path, tmp_path: Path):
-    other = copied(run, tmp_path / "other", "trajectory.tum", "metrics.json", "session.db")
+    (other / "session.db").write_bytes((run / "session.db").read_bytes())
     planes = json.loads((run / "planes.json").read_text())
     planes["planes"] = planes["planes"][1:]
     (other / "planes.json").write_text(json.dumps(planes))

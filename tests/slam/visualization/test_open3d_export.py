@@ -141,9 +141,13 @@ def test_planes_of_a_graph_of_ones_own_are_drawn():
 
 
 def test_trajectories_of_any_kind_are_lines():
-    poses, expected = path().poses, np.asarray(trajectory_to_lines(path()).points)
-    for given in (poses, list(poses), [gtsam.Pose3(pose) for pose in poses]):
-        np.testing.assert_array_equal(np.asarray(trajectory_to_lines(given).points), expected)
+    """A run's, poses, positions."""
+    poses, expected = path().poses, trajectory_to_lines(path())
+    run, transforms = SimpleNamespace(trajectory=path()), [gtsam.Pose3(pose) for pose in poses]
+    for given in (run, poses, list(poses), transforms, poses[:, :3, 3]):
+        lines = trajectory_to_lines(given)
+        np.testing.assert_array_equal(np.asarray(lines.points), np.asarray(expected.points))
+        assert len(lines.lines) == 2
     assert len(trajectory_to_lines([]).points) == 0
 
 
@@ -205,11 +209,9 @@ def test_what_cannot_be_drawn_says_what_is_wanted(draw, sentence):
 
 
 def test_what_one_would_hand_in_is_taken():
-    """One plane, a run, positions, a cloud as it was read."""
-    run, one = SimpleNamespace(planes=two_planes(), trajectory=path()), two_planes()[:1]
+    """One plane, a run, a cloud as it was read."""
+    run, one = SimpleNamespace(planes=two_planes()), two_planes()[:1]
     assert len(planes_to_mesh(run).vertices) == len(planes_to_mesh(two_planes()).vertices)
     assert len(planes_to_mesh(one[0]).vertices) == len(planes_to_mesh(one).vertices)
-    for way in (run, path().poses[:, :3, 3], [gtsam.Pose3(pose) for pose in path().poses]):
-        assert len(trajectory_to_lines(way).lines) == 2
     cloud = Cloud(np.array([[1.0, 2.0, 3.0], [np.nan] * 3]))
     assert len(points_to_cloud(cloud).points) == 1

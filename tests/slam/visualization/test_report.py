@@ -175,7 +175,7 @@ def tip(browser: Browser, start: str | None) -> str | None:
     return text
 
 
-def test_it_loads_from_disk_without_an_error_or_a_request(browser: Browser, page: Path):
+def test_it_loads_from_disk_without_an_error_or_a_request_and_draws_the_map_and_the_charts(browser, page: Path):
     browser.console()
     browser.open(page)
     assert browser.console() == []
@@ -184,17 +184,14 @@ def test_it_loads_from_disk_without_an_error_or_a_request(browser: Browser, page
     assert browser.run("return window.pwned ?? null") is None
     assert browser.run("return document.querySelector('h1').innerText") == EVIL
     assert EVIL in browser.run("return document.body.innerText")
-
-
-def test_it_draws_the_map_and_the_charts(opened: Browser):
-    assert opened.run(PAINTED) > 20_000
-    assert opened.run("return document.querySelectorAll('canvas.chart').length") == 2
+    assert browser.run(PAINTED) > 20_000
+    assert browser.run("return document.querySelectorAll('canvas.chart').length") == 2
     blank = "const c = document.querySelector('canvas.chart'); const e = document.createElement('canvas');"
     blank += "e.width = c.width; e.height = c.height; return c.toDataURL() === e.toDataURL()"
-    assert opened.run(blank) is False
+    assert browser.run(blank) is False
 
 
-def test_a_plane_answers_with_its_numbers(opened: Browser):
+def test_a_plane_answers_with_its_numbers_and_not_through_its_window(opened: Browser):
     opened.point_at(*on_screen(opened, 7))
     text = tip(opened, "plane 7")
     assert text.startswith("plane 7")
@@ -204,9 +201,6 @@ def test_a_plane_answers_with_its_numbers(opened: Browser):
     assert (tip(opened, "plane 8") or "").startswith("plane 8")  # a line seen by a 2D laser
     opened.point_at(5, 5)
     assert tip(opened, None) is None
-
-
-def test_through_a_window_one_does_not_point_at_the_wall(opened: Browser):
     hole = wall().plane.frame[:3, 3].tolist()
     script = "const p = spplanes.project(arguments[0]); return spplanes.planeAt(...p)"
     assert opened.run(script, hole) is None
