@@ -80,8 +80,8 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     After wheels stood, and where planes are all that was seen, what these leave open is told by nothing later: planes
     look alike. Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot
     that stops for a while stands where the map does not know. What matched the scans of a laser without wheels knows
-    there no more than that. Odometry that was found wrong, and left aside for an assumption, is none. No statistic is
-    needed.
+    there no more than that. Odometry that was found wrong, and left aside for an assumption, or that returns refute, is
+    none. No statistic is needed.
     """
     if run.left_open:
         frames, sigma = tuple(run.left_open), max(run.left_open.values())
@@ -90,8 +90,8 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
             f"{sigma:.2g} m): any plane alike would have been taken for one of the map"
         )
         yield Evidence("assumption", "doubtful", 0.0, sigma, "m", frames, sentence)
-    motions = [frame.motion for frame in run.keyframes]
-    measured = {index for index, motion in enumerate(motions) if motion is not None and motion.is_measured}
+    motions = enumerate(frame.motion for frame in run.keyframes)
+    measured = {k for k, one in motions if one is not None and one.is_measured and one.refuted_a_T_b is None}
     assumed = set(range(1, len(run.keyframes))) - measured
     assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if not assumed:
