@@ -12,8 +12,10 @@ from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.occupancy.raster import NOVEL_SHARE
+from slam.frontend.odometry import Motion
 from slam.mapping.observability import OpenStretch, name_of, sigma_along
 from slam.planeslam import PlaneSlam
+from slam.registration.relocalization import sigmas_of
 from spplanes._check import FloatArray
 
 #: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
@@ -80,8 +82,8 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     After wheels stood, and where planes are all that was seen, what these leave open is told by nothing later: planes
     look alike. Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot
     that stops for a while stands where the map does not know. What matched the scans of a laser without wheels knows
-    there no more than that. Odometry that was found wrong, and left aside for an assumption, or that returns refute, is
-    none. No statistic is needed.
+    there no more than that. Odometry that was found wrong, and left aside for an assumption, or that returns refute
+    and leave open, is none. No statistic is needed.
     """
     if run.left_open:
         frames, sigma = tuple(run.left_open), max(run.left_open.values())
@@ -91,7 +93,7 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
         )
         yield Evidence("assumption", "doubtful", 0.0, sigma, "m", frames, sentence)
     motions = enumerate(frame.motion for frame in run.keyframes)
-    measured = {k for k, one in motions if one is not None and one.is_measured and one.refuted_a_T_b is None}
+    measured = {index for index, motion in motions if motion is not None and _is_told(motion)}
     assumed = set(range(1, len(run.keyframes))) - measured
     assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if not assumed:
@@ -104,6 +106,13 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
         if wide:
             worst = max(wide, key=lambda frame: sigmas[frame])
             yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
+
+
+def _is_told(motion: Motion) -> bool:
+    """Whether wheels measured a motion, or returns that refute them tell it as sharply as a sound run is known."""
+    if motion.refuted_a_T_b is None or motion.scan_matched is None:
+        return motion.is_measured
+    return sigmas_of(motion.scan_matched)[0] <= PROMISED_M
 
 
 def _sentence(one: OpenStretch, wide: tuple[int, ...], sigma: float) -> str:
