@@ -23,16 +23,13 @@ ROWS = [
 ]
 
 
-def figures(
-    time: dict | None = None, memory: dict | None = None, accuracy: dict | None = None, apart: dict | None = None
-) -> _gate.Figures:
-    return {"time": time or {}, "apart": apart or {}, "memory": memory or {}, "accuracy": accuracy or {}}
+def figures(**known: dict) -> _gate.Figures:
+    return {name: known.get(name, {}) for name in ("time", "apart", "memory", "accuracy")}
 
 
 def test_ratios_are_ours_to_every_other_of_the_same_case():
-    assert _gate.figures_of("fit", ROWS) == figures(
-        {"fit: walls, ours to numpy": 0.25, "fit: planes, ours to Open3D": 1.5}, {"fit: walls, ours to numpy": 0.2}
-    )
+    time = {"fit: walls, ours to numpy": 0.25, "fit: planes, ours to Open3D": 1.5}
+    assert _gate.figures_of("fit", ROWS) == figures(time=time, memory={"fit: walls, ours to numpy": 0.2})
 
 
 def test_a_peer_that_times_itself_is_told_from_one_taken_in_turn():
@@ -57,16 +54,16 @@ def test_accuracy_has_its_slack_and_no_more():
     name = "scenes: frame: purity, %"
     slack = _gate.ACCURACY["purity, %"].slack
     for more, expected in ((0.9 * slack, 0), (1.1 * slack, 1)):
-        measured = figures(accuracy={name: 1.1 + more})
-        assert _gate.judge(measured, figures(accuracy={name: 1.0})).exit_code == expected
+        verdict = _gate.judge(figures(accuracy={name: 1.1 + more}), figures(accuracy={name: 1.0}))
+        assert verdict.exit_code == expected
 
 
 def test_a_figure_that_is_no_number_is_a_regression():
-    assert _gate.judge(figures({"a": float("nan")}), figures({"a": 0.5})).exit_code == 1
+    assert _gate.judge(figures(time={"a": float("nan")}), figures(time={"a": 0.5})).exit_code == 1
 
 
 def test_what_was_not_measured_is_no_regression_but_said():
-    verdict = _gate.judge(figures({"new": 9.0}), figures({"a": 0.5}))
+    verdict = _gate.judge(figures(time={"new": 9.0}), figures(time={"a": 0.5}))
     assert (verdict.missing, verdict.compared, verdict.exit_code) == (["a"], 0, 0)
 
 

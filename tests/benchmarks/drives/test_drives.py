@@ -45,26 +45,17 @@ def test_depths_scatter_more_the_farther_they_are():
     assert_scatter(errors[far], depth_sigma(depth)[far])
 
 
-def nees_of_steps(kind, count=400, steps=30):
-    """NEES of the motion over a curved way by one kind of odometry, against the noise the rig states, (count,)."""
-    course = WORLDS["loop"](np.random.default_rng(0)).course
-    poses = course.poses_at(np.linspace(4.0, 7.0, steps))
-    true = planar_delta(inverse(poses[0]) @ poses[-1])
-    values = []
-    for seed in range(count):
-        read = ODOMETRIES[kind](poses, OdometryNoise(), np.random.default_rng(seed))
-        deltas = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(read)])
-        total, covariance = OdometryNoise().accumulate(deltas)
-        error = total - true
-        values.append(error @ np.linalg.solve(covariance, error))
-    return np.array(values)
-
-
 @pytest.mark.parametrize(("kind", "factor"), [("good", 1.0), ("worse3", 9.0)])
 def test_odometry_errs_as_much_as_its_kind_says(kind, factor):
-    values = nees_of_steps(kind)
-    low, high = mean_nees_band(values.size, 3, level=0.999)
-    assert low < values.mean() / factor < high * 1.05  # 9 times the variance turns far enough to leave first order
+    """NEES of the motion over a curved way, against the noise that the rig states."""
+    poses = WORLDS["loop"](np.random.default_rng(0)).course.poses_at(np.linspace(4.0, 7.0, 30))
+    true, values = planar_delta(inverse(poses[0]) @ poses[-1]), []
+    for seed in range(400):
+        read = ODOMETRIES[kind](poses, OdometryNoise(), np.random.default_rng(seed))
+        total, covariance = OdometryNoise().accumulate([planar_delta(inverse(a) @ b) for a, b in pairwise(read)])
+        values.append((total - true) @ np.linalg.solve(covariance, total - true))
+    low, high = mean_nees_band(400, 3, level=0.999)
+    assert low < np.mean(values) / factor < high * 1.05  # 9 times the variance turns far enough to leave first order
 
 
 def test_there_is_no_odometry_or_one_that_stands():
@@ -76,10 +67,8 @@ def test_there_is_no_odometry_or_one_that_stands():
     poses = np.array([reading.odom_T_body for reading in stops.log.odometry])
     stands = np.all(np.isclose(poses[1:], poses[:-1], atol=1e-12), axis=(1, 2))
     assert np.mean(stands) == pytest.approx(0.2, abs=0.01) and not stands[0] and not stands[-1]
-    moves = np.linalg.norm(
-        np.diff(stops.truth.poses_at(np.array([r.stamp_ns for r in stops.log.odometry]))[:, :3, 3], axis=0), axis=1
-    )
-    assert moves[stands].min() > 0.0
+    way = stops.truth.poses_at(np.array([reading.stamp_ns for reading in stops.log.odometry]))[:, :3, 3]
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1)[stands].min() > 0.0
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("noise0.3", 0.3), ("noise3", 3.0)])
@@ -131,10 +120,8 @@ def test_same_recipe_and_seed_same_bits_and_other_parts_leave_the_building_alone
     assert_same_events(first.log.events, again.log.events)
     other = make_drive(Recipe.parse("glass/pushbroom/good/fifth"), 8)
     assert all(np.array_equal(a.frame, b.frame) for a, b in zip(first.truth.planes, other.truth.planes, strict=True))
-    next_one = make_drive(Recipe.parse("glass/level/worse3/half"), 9)
-    assert len(next_one.truth.planes) != len(first.truth.planes) or not np.array_equal(
-        next_one.truth.planes[1].frame, first.truth.planes[1].frame
-    )
+    planes = make_drive(Recipe.parse("glass/level/worse3/half"), 9).truth.planes
+    assert len(planes) != len(first.truth.planes) or not np.array_equal(planes[1].frame, first.truth.planes[1].frame)
 
 
 @pytest.mark.parametrize(
@@ -158,13 +145,12 @@ def test_visits_of_one_building_differ_in_their_noise_and_their_way():
     assert [one.d for one in again.truth.planes] == [one.d for one in whole.truth.planes]
     assert not np.array_equal(again.log.odometry[5].odom_T_body, whole.log.odometry[5].odom_T_body)
     part = make_drive(Recipe.parse("office/level"), 0, part=(0.25, 0.75), backwards=True)
-    length = len(whole.truth.world_T_body) - 1
-    np.testing.assert_allclose(
-        part.truth.world_T_body[0][:3, 3], whole.truth.world_T_body[round(0.75 * length)][:3, 3], atol=0.15
+    start, there = (
+        part.truth.world_T_body[0],
+        whole.truth.world_T_body[round(0.75 * (len(whole.truth.world_T_body) - 1))],
     )
-    np.testing.assert_allclose(
-        part.truth.world_T_body[0][:2, 0], -whole.truth.world_T_body[round(0.75 * length)][:2, 0], atol=0.05
-    )
+    np.testing.assert_allclose(start[:3, 3], there[:3, 3], atol=0.15)
+    np.testing.assert_allclose(start[:2, 0], -there[:2, 0], atol=0.05)
     for wrong in ((0.5, 0.5), (-0.1, 0.5), (0.2, 1.1)):
         with pytest.raises(ValueError, match="expected shares of the way"):
             make_drive(Recipe.parse("office/level"), 0, part=wrong)
@@ -181,28 +167,20 @@ def drive(request):
 def test_the_camera_moves_as_its_kind_says(drive) -> None:
     """Up to 0.5 m/s along x and y and 40 deg/s about z, at 3 images a second; it gets near both in 20 s."""
     poses = drive.truth.world_T_body
-    steps = [gtsam.Pose3.Logmap(gtsam.Pose3(inverse(a) @ b)) for a, b in pairwise(poses)]
-    turns, ways = (
-        np.linalg.norm(np.array(steps)[:, :3], axis=1),
-        np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1),
-    )
-    assert np.deg2rad(7.0) < turns.max() < np.deg2rad(18.0)
-    assert 0.08 < ways.max() < 0.3
+    steps = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(inverse(a) @ b)) for a, b in pairwise(poses)])
+    assert np.deg2rad(7.0) < np.linalg.norm(steps[:, :3], axis=1).max() < np.deg2rad(18.0)
+    assert 0.08 < np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).max() < 0.3
 
 
 def test_points_lie_on_the_planes_they_are_labelled_with(drive) -> None:
     """Within what a Kinect's noise and, in sparse rooms, false depths make of them; half of all pixels see a plane."""
-    sparse = drive.recipe.world == "hall"
-    off, ranges = [], []
-    truth = drive.truth
+    off, ranges, truth = [], [], drive.truth
     images = list(zip(drive.log.scans(), truth.world_T_body, truth.labels["camera"], strict=True))
     for scan, pose, labels in images[::9]:
         on = labels >= 0
-        points = lift(scan.points[on], pose @ CAMERA_MOUNT)
         planes = [truth.planes[label] for label in labels[on]]
         normals, d = np.array([plane.normal for plane in planes]), np.array([plane.d for plane in planes])
-        off.append(np.abs(np.einsum("ki,ki->k", points, normals) - d))
+        off.append(np.abs(np.einsum("ki,ki->k", lift(scan.points[on], pose @ CAMERA_MOUNT), normals) - d))
         ranges.append(scan.points[on][:, 2])
         assert on.mean() > 0.3
-    share = np.median(np.concatenate(off) / np.concatenate(ranges))
-    assert share < (0.02 if sparse else 0.005)
+    assert np.median(np.concatenate(off) / np.concatenate(ranges)) < (0.02 if drive.recipe.world == "hall" else 0.005)

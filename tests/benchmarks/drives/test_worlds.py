@@ -55,45 +55,33 @@ def test_a_ramp_leads_from_one_floor_to_the_one_above():
     assert poses[0, 2, 3] == pytest.approx(0.0, abs=1e-9)
     assert 2.8 < poses[-1, 2, 3] < 3.3
     assert np.abs(np.diff(poses[:, 2, 3])).max() < 0.01  # no steps
-    np.testing.assert_allclose(
-        poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-12
-    )
+    turns = poses[:, :3, :3]
+    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-12)
     forward = np.diff(poses[:, :3, 3], axis=0)
     along = np.einsum("ni,ni->n", forward / np.linalg.norm(forward, axis=1)[:, None], poses[:-1, :3, 0])
     assert along.min() > 0.99  # it drives where it looks, uphill as well
 
 
 def test_people_come_before_walls_and_move():
-    rng = np.random.default_rng(2)
-    scene = WORLDS["people"](rng)
-    quiet = type(scene)(scene.world, scene.course)
+    scene = WORLDS["people"](np.random.default_rng(2))
     _, _, with_people, labels = seen_along(scene)
-    _, _, without, _ = seen_along(quiet)
+    _, _, without, _ = seen_along(type(scene)(scene.world, scene.course))
     nearer = with_people < without
-    assert (with_people <= without).all()
-    assert 0.002 < nearer.mean() < 0.3
-    assert (labels[nearer] == -1).all()
-    walker = scene.walkers[0]
-    places = walker.places(scene.course.path, np.array([0.0, 1.0]))
+    assert (with_people <= without).all() and 0.002 < nearer.mean() < 0.3 and (labels[nearer] == -1).all()
+    places = scene.walkers[0].places(scene.course.path, np.array([0.0, 1.0]))
     assert 0.3 < np.linalg.norm(places[1] - places[0]) < 2.5
 
 
-def square_with_a_hole(**options):
-    builder = PolygonBuilder()
-    outer = [(2, -1, 0), (2, 3, 0), (2, 3, 3), (2, -1, 3)]
-    hole = [(2, 0, 1), (2, 1, 1), (2, 1, 2), (2, 0, 2)]
-    builder.add_polygon([outer, hole], toward=(0, 0, 0), **options)
-    return builder.build()
-
-
 def test_a_polygon_with_a_hole_is_a_rectangle_with_that_hole():
-    builder = PolygonBuilder()
-    builder.add_patch((2, -1, 0), (0, 4, 0), (0, 0, 3), toward=(0, 0, 0), holes=[(1, 1, 2, 2)])
+    polygon, rectangle = PolygonBuilder(), PolygonBuilder()
+    outer, hole = [(2, -1, 0), (2, 3, 0), (2, 3, 3), (2, -1, 3)], [(2, 0, 1), (2, 1, 1), (2, 1, 2), (2, 0, 2)]
+    polygon.add_polygon([outer, hole], toward=(0, 0, 0))
+    rectangle.add_patch((2, -1, 0), (0, 4, 0), (0, 0, 3), toward=(0, 0, 0), holes=[(1, 1, 2, 2)])
     directions = beam_directions(np.linspace(-1.4, 1.4, 301))
     tilt = np.array([[np.cos(t), 0, -np.sin(t), 0, 1, 0, np.sin(t), 0, np.cos(t)] for t in np.linspace(-1.0, 1.0, 41)])
     rays = directions @ tilt.reshape(-1, 3, 3).transpose(0, 2, 1)
     origins, normals = np.tile((0.0, 0.4, 1.5), (41, 1)), tilt.reshape(-1, 3, 3)[:, :, 2]
-    by_polygon, by_rectangle = (world.cast(origins, rays, normals) for world in (square_with_a_hole(), builder.build()))
+    by_polygon, by_rectangle = (one.build().cast(origins, rays, normals) for one in (polygon, rectangle))
     np.testing.assert_allclose(by_polygon[0], by_rectangle[0])
     assert np.array_equal(by_polygon[1], by_rectangle[1])
     assert 0.1 < np.isinf(by_polygon[0]).mean() < 0.9

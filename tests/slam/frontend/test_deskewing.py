@@ -37,32 +37,29 @@ def with_sweep(sweep_s: float) -> Rig:
 
 
 def turning_track() -> OdometryTrack:
-    ways = np.linspace(0.0, 1.0, 21)
-    return OdometryTrack(
-        [OdometryReading(round(t * SECOND_NS), planar_transform(0.5 * t, 0.1 * t, 0.4 * t)) for t in ways], WHEELS
-    )
+    times = np.linspace(0.0, 1.0, 21)
+    readings = [OdometryReading(round(t * SECOND_NS), planar_transform(0.5 * t, 0.1 * t, 0.4 * t)) for t in times]
+    return OdometryTrack(readings, WHEELS)
 
 
-def swept_scan(sensor: Sensor, track: OdometryTrack, wall: float, angles: np.ndarray) -> LaserScan:
-    """Exact ranges of a wall x = `wall` of the odometry frame, each beam from its own pose."""
-    poses = track.poses_at(sensor.beam_times_ns(0, len(angles)).tolist()) @ sensor.body_T_sensor
+def swept_scan() -> tuple[Sensor, LaserScan]:
+    """A sensor, and exact ranges of a wall x = 4 of the odometry frame, each beam from its own pose."""
+    sensor, angles = with_sweep(0.2).sensors[HORIZONTAL], np.linspace(-0.8, 0.8, 161)
+    poses = turning_track().poses_at(sensor.beam_times_ns(0, len(angles)).tolist()) @ sensor.body_T_sensor
     ways = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) + angles
-    return LaserScan(0, "laser", (wall - poses[:, 0, 3]) / np.cos(ways), angles)
+    return sensor, LaserScan(0, "laser", (4.0 - poses[:, 0, 3]) / np.cos(ways), angles)
 
 
 def test_a_scan_of_a_turning_robot_is_straightened():
-    sensor, angles = with_sweep(0.2).sensors[HORIZONTAL], np.linspace(-0.8, 0.8, 161)
-    scan = swept_scan(sensor, turning_track(), 4.0, angles)
-    x = scan.ranges * np.cos(angles)
-    assert np.ptp(x) > 0.1
+    sensor, scan = swept_scan()
+    assert np.ptp(scan.ranges * np.cos(scan.angles)) > 0.1
     straight = unswept(scan, sensor, turning_track())
     np.testing.assert_allclose(straight.ranges * np.cos(straight.angles), 4.0, atol=1e-9)
     assert unswept(scan, sensor.model_copy(update={"sweep_s": 0.0}), turning_track()) is scan
 
 
 def test_a_beam_without_return_stays_one():
-    sensor, angles = with_sweep(0.2).sensors[HORIZONTAL], np.linspace(-0.8, 0.8, 161)
-    scan = swept_scan(sensor, turning_track(), 4.0, angles)
+    sensor, scan = swept_scan()
     ranges = np.where(np.arange(161) % 7 == 0, np.nan, scan.ranges)
     straight = unswept(replace(scan, ranges=ranges), sensor, turning_track())
     np.testing.assert_array_equal(np.isnan(straight.ranges), np.isnan(ranges))
@@ -70,25 +67,16 @@ def test_a_beam_without_return_stays_one():
 
 
 def errors(mission: Mission, rig: Rig, kind: type) -> np.ndarray:
-    """Mahalanobis distances of measured planes from the true ones they must be of: nearest by normal and distance."""
+    """Chi2 per degree of freedom of measured planes against the nearest of the true ones, where any is near."""
     values = []
     for keyframe in keyframes_of(mission.log, rig, SlamConfig()):
         body_T_world = np.linalg.inv(mission.truth.poses_at(np.array([keyframe.stamp_ns]))[0])
-        for seen in keyframe.observations:
-            if isinstance(seen, kind) and seen.n_points > 100:
-                values.append(misfit(seen, [plane.transform(body_T_world) for plane in mission.truth.planes]))
-    return np.array([value for value in values if value is not None])
-
-
-def misfit(seen, planes) -> float | None:
-    """Chi2 per degree of freedom against the nearest true plane; None where nothing is near."""
-    mine = seen.full_plane(0.01)
-    near = [
-        plane
-        for plane in planes
-        if plane.normal @ mine.normal > 0.97 and abs(float(plane.distance(mine.centre))) < 0.15
-    ]
-    return min((mine.mahalanobis(plane) / 3.0 for plane in near), default=None)
+        true = [plane.transform(body_T_world) for plane in mission.truth.planes]
+        for seen in (one for one in keyframe.observations if isinstance(one, kind) and one.n_points > 100):
+            mine = seen.full_plane(0.01)
+            near = [one for one in true if one.normal @ mine.normal > 0.97 and abs(one.distance(mine.centre)) < 0.15]
+            values += [min(mine.mahalanobis(one) for one in near) / 3.0] if near else []
+    return np.array(values)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors.association.observations import PlaneObservation
 from slam.config import SlamConfig
 from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
@@ -73,18 +72,15 @@ def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
     false_alarms, found = 0, 0
     for _ in range(200):
         points = patch(rng, 3000)
-        plane = fit_plane(points, sigma=SIGMA)
-        false_alarms += InPatches(plane, points, isotropic(points), RULES).has_step
+        false_alarms += InPatches(fit_plane(points, sigma=SIGMA), points, isotropic(points), RULES).has_step
         points[points[:, 1] > 0.9, 2] += 0.02
-        plane = fit_plane(points, sigma=SIGMA)
-        found += InPatches(plane, points, isotropic(points), RULES).has_step
+        found += InPatches(fit_plane(points, sigma=SIGMA), points, isotropic(points), RULES).has_step
     assert false_alarms <= 2
     assert found >= 198
 
 
 def test_a_floor_with_a_foot_on_it_is_the_floor_without_the_foot():
-    rng = np.random.default_rng(4)
-    above, chi2, lost = np.array([0.0, 0.0, 1.0]), [], 0
+    rng, above, chi2, lost = np.random.default_rng(4), np.array([0.0, 0.0, 1.0]), [], 0
     for _ in range(200):
         points = patch(rng, 9000, x=8.0, y=6.0)
         foot = (np.abs(points[:, :2] - [0.8, 3.0]) < 0.15).all(axis=1)
@@ -126,8 +122,7 @@ def test_the_pose_error_that_a_scan_shares_is_no_step():
 
 
 def test_a_slow_drift_of_the_sensor_is_no_step():
-    rng = np.random.default_rng(4)
-    points = patch(rng)
+    points = patch(np.random.default_rng(4))
     points[:, 2] += 0.03 * np.sin(4.0 * points[:, 0])
     plane = fit_plane(points, sigma=SIGMA)
     assert InPatches(plane, points, isotropic(points), RULES).has_step
@@ -177,14 +172,12 @@ def test_rough_fronts_are_found_where_the_rig_knows_of_them():
     z, x = np.meshgrid(np.linspace(-1.0, 1.0, 60), np.linspace(0.5, 3.5, 90), indexing="ij")
     depth = np.where(x < 2.0, 2.0, 2.5 + 0.025 * rng.standard_normal(x.shape))
     points = np.stack((x, depth, z), axis=2) + 0.004 * rng.standard_normal((60, 90, 3))
-    scan = CloudScan(0, "scanner", points)
-    flat = sensor(range_sigma_m=0.004, surface_sigma_m=0.005)
-    rough = flat.model_copy(update={"rough_sigma_m": 0.06})
-    fronts = [
-        [seen.plane.n_points for seen in planes_of_cloud(scan, one, SlamConfig()) if abs(seen.plane.d + 2.5) < 0.05]
-        for one in (flat, rough)
-    ]
-    assert sum(fronts[1]) > 2000 > sum(fronts[0])
+    scan, seen = CloudScan(0, "scanner", points), []
+    for rough_sigma_m in (0.0, 0.06):
+        rig = sensor(range_sigma_m=0.004, surface_sigma_m=0.005, rough_sigma_m=rough_sigma_m)
+        planes = [one.plane for one in planes_of_cloud(scan, rig, SlamConfig())]
+        seen.append(sum(one.n_points for one in planes if abs(one.d + 2.5) < 0.05))
+    assert seen[1] > 2000 > seen[0]
 
 
 def room_without_order() -> np.ndarray:
@@ -199,29 +192,25 @@ def room_without_order() -> np.ndarray:
 
 @pytest.mark.parametrize("stated", [{}, {"rows": 32, "columns": 720}], ids=["found", "stated"])
 def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
-    seen = planes_of_cloud(
-        CloudScan(0, "lidar", room_without_order()), sensor(range_sigma_m=0.005, **stated), SlamConfig()
-    )
+    cloud = CloudScan(0, "lidar", room_without_order())
+    seen = planes_of_cloud(cloud, sensor(range_sigma_m=0.005, **stated), SlamConfig())
     walls = [(1, 0, 0, -3.0), (-1, 0, 0, -5.0), (0, 1, 0, -2.5), (0, -1, 0, -3.5), (0, 0, 1, -1.2), (0, 0, -1, -1.5)]
     for *normal, d in walls:
         plane = next(one.plane for one in seen if one.plane.normal @ normal > 0.99)  # the largest comes first
-        assert plane.normal @ normal > np.cos(0.001)
-        assert plane.d == pytest.approx(d, abs=0.001)
+        assert plane.normal @ normal > np.cos(0.001) and plane.d == pytest.approx(d, abs=0.001)
     assert sum(one.n_points for one in seen) > 0.9 * 32 * 720
 
 
 def test_scans_without_a_return_have_no_planes():
-    for points in (np.empty((0, 3)), np.full((40, 3), np.nan), np.full((4, 9, 3), np.nan), np.full((5, 3), 1e3)):
+    none = np.empty((0, 3)), np.full((40, 3), np.nan), np.full((4, 9, 3), np.nan), np.full((5, 3), 1e3), np.ones((1, 3))
+    for points in none:
         assert planes_of_cloud(CloudScan(0, "lidar", points), sensor(), SlamConfig()) == []
-    assert planes_of_cloud(CloudScan(0, "lidar", np.ones((1, 3))), sensor(), SlamConfig()) == []
 
 
 def test_ranges_outside_the_limits_are_no_returns():
     limited = sensor(range_min_m=0.5)
-    np.testing.assert_array_equal(
-        np.isnan(usable_ranges(np.array([0.4, 0.6, 19.0, 20.0, np.nan, np.inf]), limited)),
-        [True, False, False, True, True, True],
-    )
+    ranges, lost = np.array([0.4, 0.6, 19.0, 20.0, np.nan, np.inf]), [True, False, False, True, True, True]
+    np.testing.assert_array_equal(np.isnan(usable_ranges(ranges, limited)), lost)
     points = usable_points(np.array([[0.3, 0.0, 0.0], [3.0, 0.0, 0.0]]), limited)
     assert np.isnan(points[0]).all()
     assert np.isfinite(points[1]).all()
@@ -333,11 +322,9 @@ def test_planes_of_a_spinning_laser_are_as_sure_as_they_say():
         for frame in measured.keyframes:
             body_T_world = inverse(measured.truth.poses_at(np.array([frame.stamp_ns]))[0])
             true = [plane.transform(body_T_world) for plane in measured.truth.planes]
-            for seen in frame.observations:
-                assert isinstance(seen, PlaneObservation)
-                plane = seen.plane
+            for plane in (seen.plane for seen in frame.observations):
                 alike = [one for one in true if one.normal @ plane.normal > 0.99]
-                far = [abs(float(one.distance(plane.centre))) for one in alike]
-                found.append(min(plane.mahalanobis(alike[int(np.argmin(far))]), 30.0) if alike else 30.0)
+                nearest = min(alike, key=lambda one, at=plane.centre: abs(float(one.distance(at))), default=None)
+                found.append(30.0 if nearest is None else min(plane.mahalanobis(nearest), 30.0))
     assert len(found) > 500
     assert_mean_in_band(np.array(found), 3)

@@ -16,10 +16,8 @@ MOUNT = np.array([[0.0, -1.0, 0.0, 0.2], [1.0, 0.0, 0.0, -0.1], [0.0, 0.0, 1.0, 
 
 
 def line(alpha: float, rho: float, covariance: np.ndarray) -> ScanLine:
-    along = np.array([-np.sin(alpha), np.cos(alpha)])
-    foot = rho * np.array([np.cos(alpha), np.sin(alpha)])
-    ends = np.array([foot - 0.4 * along, foot + 1.7 * along])
-    return ScanLine(alpha, rho, covariance, ends, np.arange(30))
+    along, foot = np.array([-np.sin(alpha), np.cos(alpha)]), rho * np.array([np.cos(alpha), np.sin(alpha)])
+    return ScanLine(alpha, rho, covariance, np.array([foot - 0.4 * along, foot + 1.7 * along]), np.arange(30))
 
 
 def test_plane_of_a_line_is_square_to_the_scan_plane_and_faces_the_sensor():
@@ -34,11 +32,9 @@ def test_plane_of_a_line_is_square_to_the_scan_plane_and_faces_the_sensor():
 
 def test_covariance_of_the_plane_is_that_of_the_sampled_line():
     """NEES of (z, theta) over draws of (alpha, rho) with a strong correlation: a flipped sign fails here."""
-    rng = np.random.default_rng(0)
-    covariance = np.array([[4e-6, 5.5e-6], [5.5e-6, 9e-6]])
+    rng, covariance, values = np.random.default_rng(0), np.array([[4e-6, 5.5e-6], [5.5e-6, 9e-6]]), []
     root = np.linalg.cholesky(covariance)
     estimate = LineObservation(line(2.4, 3.0, covariance), MOUNT).full_plane(0.01)
-    values = []
     for _ in range(3000):
         alpha, rho = np.array([2.4, 3.0]) + root @ rng.standard_normal(2)
         truth = LineObservation(line(alpha, rho, covariance), MOUNT).full_plane(0.01)
@@ -51,36 +47,29 @@ def test_covariance_of_the_plane_is_that_of_the_sampled_line():
 
 def test_patch_of_a_line_is_its_segment():
     seen = LineObservation(line(0.0, 2.0, np.eye(2)), np.eye(4))
-    plane = seen.full_plane(0.01)
-    patch = seen.patch_in(inverse(plane.frame))
-    assert patch.geom_type == "LineString"
-    assert abs(patch.length - 2.1) < 1e-12
+    patch = seen.patch_in(inverse(seen.full_plane(0.01).frame))
+    assert patch.geom_type == "LineString" and abs(patch.length - 2.1) < 1e-12
 
 
 def test_plane_frames_follow_an_estimate_the_shortest_way():
-    rng = np.random.default_rng(1)
-    plane = measured(room_planes()[2], rng, np.array([0.2, 0.3, 0.3]))
+    plane = measured(room_planes()[2], np.random.default_rng(1), np.array([0.2, 0.3, 0.3]))
     settled = settle_frame(room_planes()[2].frame, plane.normal, plane.d)
     np.testing.assert_allclose(settled[:3, 2], plane.normal, atol=1e-12)
     assert abs(plane.distance(settled[:3, 3])) < 1e-12
     np.testing.assert_allclose(settled[:3, :3].T @ settled[:3, :3], np.eye(3), atol=1e-12)
-    same = settle_frame(plane.frame, plane.normal, plane.d)
-    np.testing.assert_allclose(same, plane.frame, atol=1e-12)
+    np.testing.assert_allclose(settle_frame(plane.frame, plane.normal, plane.d), plane.frame, atol=1e-12)
 
 
 def test_outlines_grow_by_union_and_come_apart_again():
-    wall = PlaneObservation(room_planes()[4])
-    plane_T_body = inverse(room_planes()[4].frame)
-    outline = wall.patch_in(plane_T_body)
-    six_metres_on = np.eye(4)
+    wall, six_metres_on = room_planes()[4], np.eye(4)
     six_metres_on[0, 3] = 6.0
-    shifted = PlaneObservation(room_planes()[4].transform(six_metres_on))
-    both = grow(outline, shifted.patch_in(plane_T_body))
+    shifted = PlaneObservation(wall.transform(six_metres_on))
+    outline, further = (seen.patch_in(inverse(wall.frame)) for seen in (PlaneObservation(wall), shifted))
+    both = grow(outline, further)
     assert abs(both.area - (24.0 + 6.0 * 3.0)) < 1e-9
     assert largest_polygon(both) is not None
     mixed = grow(both, LineObservation(line(0.0, 2.0, np.eye(2)), np.eye(4)).patch_in(np.eye(4)))
-    assert len(polygons_of(mixed)) == 1
-    assert len(segments_of(mixed)) <= 1
+    assert len(polygons_of(mixed)) == 1 and len(segments_of(mixed)) <= 1
     np.testing.assert_allclose(lift(np.zeros((1, 2)), MOUNT), [MOUNT[:3, 3]])
 
 

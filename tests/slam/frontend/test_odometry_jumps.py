@@ -36,13 +36,8 @@ EXACT = OdometryNoise(
 )
 TICK_NS, AT = 50_000_000, 40
 #: Usual twist of a step, GTSAM order, and how much steps differ from it, on the floor and in space.
-STEP, CHANGES = (
-    (0.0, 0.0, 0.02, 0.05, 0.0, 0.0),
-    {
-        "floor": (0.0, 0.0, 0.01, 0.004, 0.002, 0.0),
-        "space": (0.003, 0.006, 0.01, 0.004, 0.002, 0.001),
-    },
-)
+STEP = (0.0, 0.0, 0.02, 0.05, 0.0, 0.0)
+CHANGES = {"floor": (0.0, 0.0, 0.01, 0.004, 0.002, 0.0), "space": (0.003, 0.006, 0.01, 0.004, 0.002, 0.001)}
 JUMPS = {"ahead": (0.0, 0.0, 0.0, 2.0, 0.0, 0.0), "turned": (0.0, 0.0, 2.0, 0.0, 0.0, 0.0), "anew": None}
 
 
@@ -110,10 +105,8 @@ def test_every_jump_is_found_the_first_step_too() -> None:
 
 def test_what_robots_do_is_no_jump() -> None:
     """They stand for long, start, stop, and turn on the spot; readings are missing; two are at nearly one time."""
-    step, spin = (
-        gtsam.Pose3.Expmap(np.array(twist)).matrix()
-        for twist in ((0.0, 0.0, 0.02, 0.1, 0.0, 0.0), (0, 0, 0.3, 0, 0, 0))
-    )
+    twists = np.array(((0.0, 0.0, 0.02, 0.1, 0.0, 0.0), (0.0, 0.0, 0.3, 0.0, 0.0, 0.0)))
+    step, spin = (gtsam.Pose3.Expmap(twist).matrix() for twist in twists)
     steps = [np.eye(4)] * 3000 + [step] * 12 + [np.eye(4)] * 5 + [spin] * 3 + [step] * 5
     poses = np.array(list(accumulate(steps, np.matmul)))
     stamps = np.arange(len(poses)) * TICK_NS

@@ -41,24 +41,20 @@ def resampled(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def test_relative_poses_are_those_of_the_track():
     poses = arc()
     relative, _ = window_poses([0, 3 * PERIOD_NS], 2 * PERIOD_NS, track_of(poses))
-    keyframe = planar_transform(*poses[2])
-    np.testing.assert_allclose(keyframe @ relative[0], planar_transform(*poses[0]), atol=1e-12)
-    np.testing.assert_allclose(keyframe @ relative[1], planar_transform(*poses[3]), atol=1e-12)
+    first, keyframe, last = (planar_transform(*poses[k]) for k in (0, 2, 3))
+    np.testing.assert_allclose(keyframe @ relative, [first, last], atol=1e-12)
 
 
 def test_joint_covariance_of_a_window_is_that_of_sampled_odometry():
     """NEES of the stacked errors (x, y, phi) of all scans, on both sides of the keyframe: wrong levers fail here."""
-    rng = np.random.default_rng(5)
-    poses, keyframe = arc(), 6
+    rng, poses, keyframe = np.random.default_rng(5), arc(), 6
     others = [i for i in range(len(poses)) if i != keyframe]
     relative, joint = window_poses([i * PERIOD_NS for i in others], keyframe * PERIOD_NS, track_of(poses))
     planar = np.array([6 * s + k for s in range(len(others)) for k in (0, 1, 3)])
     assert np.abs(np.delete(np.delete(joint, planar, axis=0), planar, axis=1)).max() == 0.0
-    root = np.linalg.cholesky(joint[np.ix_(planar, planar)])
-    values = []
+    root, values = np.linalg.cholesky(joint[np.ix_(planar, planar)]), []
     for _ in range(400):
-        noisy = resampled(poses, rng)
-        errors = []
+        noisy, errors = resampled(poses, rng), []
         for scan, index in enumerate(others):
             moved = inverse(noisy[keyframe]) @ noisy[index] @ inverse(relative[scan])
             errors += [moved[0, 3], moved[1, 3], np.arctan2(moved[1, 0], moved[0, 0])]
@@ -68,11 +64,9 @@ def test_joint_covariance_of_a_window_is_that_of_sampled_odometry():
 
 def test_spatial_covariance_turns_into_the_axes_of_the_second_pose():
     """Drawn additively in a's axes, seen as a perturbation composed on the right of a_T_b."""
-    rng = np.random.default_rng(2)
-    a_T_b = planar_transform(1.0, 0.3, 0.6)
+    rng, a_T_b, in_plane = np.random.default_rng(2), planar_transform(1.0, 0.3, 0.6), [0, 1, 3]
     planar = np.array([[4.0, 1.0, 0.3], [1.0, 2.0, -0.2], [0.3, -0.2, 0.5]]) * 1e-6
     covariance = spatial_covariance(planar, a_T_b, (0.001, 0.002, 0.003))
-    in_plane = [0, 1, 3]
     root, values = np.linalg.cholesky(planar), []
     for _ in range(2000):
         drawn = planar_transform(*(planar_delta(a_T_b) + root @ rng.standard_normal(3)))

@@ -49,9 +49,8 @@ def test_noise_that_grows_with_the_square_of_the_range_and_uneven_walls_are_no_l
     assert noise_factor([grown], camera) == pytest.approx(1.0, rel=0.08)
     noisy = room(rng, 0.01)
     uneven = Sensor(kind="cloud", range_sigma_m=0.005, surface_sigma_m=0.01, range_max_m=30.0)
-    assert (
-        noise_factor([noisy], uneven) < 1.0 < noise_factor([noisy], uneven.model_copy(update={"surface_sigma_m": 0.0}))
-    )
+    even = uneven.model_copy(update={"surface_sigma_m": 0.0})
+    assert noise_factor([noisy], uneven) < 1.0 < noise_factor([noisy], even)
 
 
 def test_less_than_is_shown_is_not_believed_once_and_for_all() -> None:
@@ -76,15 +75,12 @@ def test_scans_that_cannot_be_read_or_show_too_little_tell_nothing() -> None:
     def damaged(_: int) -> FloatArray:
         raise LogError(Path("cloud.pcd"), "expected a cloud, got nothing")
 
-    rng = np.random.default_rng(7)
-    log, rig = log_of([room(rng, 0.015)], 0.001)
+    log, rig = log_of([room(np.random.default_rng(7), 0.015)], 0.001)
     broken = replace(log, events=[StoredCloud({"stamp_ns": 0, "sensor": "lidar"}, {"points": damaged}), *log.events])
     assert with_shown_errors(broken, rig).sensors["lidar"].range_sigma_m == pytest.approx(0.015, rel=0.1)
-    empty = replace(
-        log, events=[CloudScan(0, "lidar", np.full((4, 9, 3), np.nan)), CloudScan(1, "lidar", np.ones((1, 3)))]
-    )
-    assert with_shown_errors(empty, rig) is rig
-    assert with_shown_errors(replace(log, events=[]), rig) is rig
+    nothing = [CloudScan(0, "lidar", np.full((4, 9, 3), np.nan)), CloudScan(1, "lidar", np.ones((1, 3)))]
+    for events in (nothing, []):
+        assert with_shown_errors(replace(log, events=events), rig) is rig
 
 
 @pytest.mark.parametrize(

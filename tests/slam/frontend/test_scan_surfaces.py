@@ -13,12 +13,17 @@ from tests.spplanes.scenes import spun
 POSE = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
 
 
-def test_elements_on_planes_lie_on_floor_top_and_side() -> None:
-    elements = measured(POSE, np.random.default_rng(0)).surfaces
+def elements_seen(kind: float, pose: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and directions in the world of the elements of a kind, seen from a pose."""
+    elements = measured(pose, np.random.default_rng(seed)).surfaces
     assert elements is not None
-    some = elements[elements[:, 7] == ON_PLANE]
-    points, normals = in_world(some[:, :3], POSE), some[:, 3:6] @ POSE[:3, :3].T
-    assert len(some) > 300
+    some = elements[elements[:, 7] == kind]
+    return in_world(some[:, :3], pose), some[:, 3:6] @ pose[:3, :3].T
+
+
+def test_elements_on_planes_lie_on_floor_top_and_side() -> None:
+    points, normals = elements_seen(ON_PLANE, POSE, 0)
+    assert len(points) > 300
     heights = np.where(normals[:, 2] > 0.9, np.minimum(abs(points[:, 2]), abs(points[:, 2] - HIGH[2])), 0.0)
     fronts = np.where(normals[:, 0] < -0.9, abs(points[:, 0] - LOW[0]), 0.0)
     assert ((normals[:, 2] > 0.99) | (normals[:, 0] < -0.99)).all()
@@ -26,10 +31,7 @@ def test_elements_on_planes_lie_on_floor_top_and_side() -> None:
 
 
 def test_edges_of_the_box_are_found_where_they_are_and_the_border_of_the_image_is_none() -> None:
-    elements = measured(POSE, np.random.default_rng(1)).surfaces
-    assert elements is not None
-    some = elements[elements[:, 7] == ON_EDGE]
-    points, across = in_world(some[:, :3], POSE), some[:, 3:6] @ POSE[:3, :3].T
+    points, across = elements_seen(ON_EDGE, POSE, 1)
     upright, level = abs(across[:, 2]) < 0.3, abs(across[:, 1]) < 0.3
     assert (abs(abs(points[upright & ~level, 1]) - HIGH[1]) < 0.05).all()  # the sides, to two beams and a bit
     assert (upright & ~level).sum() > 8
@@ -38,10 +40,8 @@ def test_edges_of_the_box_are_found_where_they_are_and_the_border_of_the_image_i
 
 
 def test_a_bare_floor_seen_at_a_grazing_angle_has_no_edges() -> None:
-    pose = looking(3.0, 0.0, 0.5, 0.0, 0.25)  # away from the box
-    elements = measured(pose, np.random.default_rng(2)).surfaces
-    assert elements is not None
-    assert not (elements[:, 7] == ON_EDGE).any()
+    away_from_the_box = looking(3.0, 0.0, 0.5, 0.0, 0.25)
+    assert len(elements_seen(ON_EDGE, away_from_the_box, 2)[0]) == 0
 
 
 def test_elements_are_as_wide_as_beams_are_apart() -> None:
@@ -67,11 +67,11 @@ RULES = 0.1, 0.04, 4.0, float(np.cos(0.08))
 
 
 def test_a_jump_lies_between_the_last_beam_on_the_near_side_and_the_next() -> None:
-    angles = np.linspace(-0.1, 0.1, 21)
-    ranges = np.where(np.arange(21) < 10, 2.0, 5.0)
-    rays = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(21)))
+    angles, near = np.linspace(-0.1, 0.1, 21), np.arange(21) < 10
+    ranges, rays = np.where(near, 2.0, 5.0), np.column_stack((np.cos(angles), np.sin(angles), np.zeros(21)))
     points, none = rays * ranges[:, None], np.full(21, -1)
-    middle = 2.0 * np.array([np.cos(0.5 * (angles[9] + angles[10])), np.sin(0.5 * (angles[9] + angles[10])), 0.0])
+    edge = 0.5 * (angles[9] + angles[10])
+    middle = 2.0 * np.array([np.cos(edge), np.sin(edge), 0.0])
     forth, back = (1, 21, 21, 1, 0), (1, 21, 21, -1, 20)
     np.testing.assert_allclose(jumps(points, ranges, none, forth, 0, RULES), [middle], atol=1e-12)
     assert not len(jumps(points, ranges, none, back, 0, RULES))  # from there it comes nearer

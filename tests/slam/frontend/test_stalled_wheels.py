@@ -55,8 +55,7 @@ def test_a_stretch_that_wheels_did_not_measure_is_measured_by_nobody(hanging: Dr
 @pytest.mark.parametrize("name", ["hall", "sloped", "symmetric", "loop"])
 def test_stretches_are_found_in_other_buildings(name: str) -> None:
     """In a hall a quarter of a slice changes: its pillars."""
-    drive = make_drive(Recipe.parse(f"{name}/pushbroom/stops"), 97101)
-    assert len(stalls_of(*slices_of(drive))) == 1
+    assert len(stalls_of(*slices_of(make_drive(Recipe.parse(f"{name}/pushbroom/stops"), 97101)))) == 1
 
 
 @pytest.mark.parametrize("name, seed", [(DRIVE, 771021), ("glass/pushbroom/stops", 133002)])

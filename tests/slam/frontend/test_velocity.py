@@ -10,9 +10,8 @@ from slam.frontend.laser_odometry.velocity import VelocityFilter, stamp_sigma
 
 RULES = CoastingConfig()
 USUAL = np.array((RULES.speed_sigma_m_per_s, RULES.speed_sigma_m_per_s, RULES.turn_sigma_rad_per_s))
-CHANGE = np.array(
-    (RULES.acceleration_sigma_m_per_s2, RULES.acceleration_sigma_m_per_s2, RULES.turn_change_sigma_rad_per_s2)
-)
+ACCELERATION, TURN_CHANGE = RULES.acceleration_sigma_m_per_s2, RULES.turn_change_sigma_rad_per_s2
+CHANGE = np.array((ACCELERATION, ACCELERATION, TURN_CHANGE))
 PERIOD_S, STEP_SIGMA = 0.2, 0.01
 
 
@@ -79,8 +78,7 @@ def test_the_first_steps_along_what_nobody_sees_are_as_far_off_as_is_said():
     """A second of an open way after a minute that was told; the learnt width, and not that of any body, is said."""
     rng, said = np.random.default_rng(6), []
     for _ in range(60):
-        tracked = VelocityFilter(RULES)
-        said.append(steady_drive(tracked, rng, 0.01, 300)[:5].mean())
+        said.append(steady_drive(VelocityFilter(RULES), rng, 0.01, 300)[:5].mean())
     assert 0.1 < np.mean(said) < 1.5 and np.median(said) > 0.03  # as wide as any body: 0.001
 
 

@@ -41,20 +41,14 @@ def log_of(images: list[FloatArray]) -> Log:
 def noisy(points: FloatArray, rng: np.random.Generator) -> FloatArray:
     """With the noise that the camera states."""
     ranges = np.linalg.norm(points, axis=-1, keepdims=True)
-    sigma = np.sqrt(CAMERA.range_variance_at(ranges))
-    return points * (1.0 + sigma / ranges * rng.standard_normal(ranges.shape))
+    return points * (1.0 + np.sqrt(CAMERA.range_variance_at(ranges)) / ranges * rng.standard_normal(ranges.shape))
 
 
 def drawn(rng: np.random.Generator, octave: float, *, grows: bool) -> RangeWarp:
     """A warp as the prior has it, of waves that planes can tell."""
-    weights = octave * np.sqrt(_priors()) * rng.standard_normal(len(_priors()))
-    shares, per_m = weights.reshape(2, 6, 8)
-    none = np.zeros_like(shares).tolist()
-    return (
-        RangeWarp(shares=none, shares_per_m=per_m.tolist())
-        if grows
-        else RangeWarp(shares=shares.tolist(), shares_per_m=none)
-    )
+    shares, per_m = (octave * np.sqrt(_priors()) * rng.standard_normal(len(_priors()))).reshape(2, 6, 8)
+    (shares if grows else per_m)[:] = 0.0
+    return RangeWarp(shares=shares.tolist(), shares_per_m=per_m.tolist())
 
 
 def put_on(points: FloatArray, warp: RangeWarp) -> FloatArray:
@@ -84,9 +78,8 @@ def test_a_warp_is_found_from_planes_seen_anyhow(grows: bool) -> None:
     shares, per_m = (np.square(one).sum() for one in (found.warp.shares, found.warp.shares_per_m))
     assert (per_m > shares) == grows
     seen = image(rng)
-    assert (
-        np.abs(usable_points(put_on(seen, warp), found) - seen).max() < 0.25 * np.abs(put_on(seen, warp) - seen).max()
-    )
+    read = put_on(seen, warp)
+    assert np.abs(usable_points(read, found) - seen).max() < 0.25 * np.abs(read - seen).max()
 
 
 @pytest.mark.parametrize("seed", [20, 21])
@@ -108,29 +101,24 @@ def test_a_camera_without_a_warp_is_left_as_it_is() -> None:
 
 def test_uneven_walls_are_no_warp() -> None:
     """Waves of 6 mm of the walls themselves, seen at any pixels."""
-    rng = np.random.default_rng(8)
-    images = []
+    rng, images = np.random.default_rng(8), []
     for _ in range(24):
         points = image(rng)
         a, b = rng.uniform(-3.0, 3.0, (2, 3))
         images.append(noisy(points * (1.0 + 0.006 * np.sin(points @ a + b[0]))[..., None], rng))
-    log = log_of(images)
-    found = with_warp("camera", CAMERA, log)
-    left = 0.0 if found.warp is None else np.std(found.warp.over(120, 160)[0])
-    assert left < 0.0015
+    found = with_warp("camera", CAMERA, log_of(images))
+    assert found.warp is None or np.std(found.warp.over(120, 160)[0]) < 0.0015
 
 
 def test_what_maps_planes_to_planes_is_left() -> None:
     """Inverse ranges along the optical axis that err by what is linear in the image: all planes stay planes."""
-    rng = np.random.default_rng(9)
-    images = []
+    rng, images = np.random.default_rng(9), []
     for _ in range(24):
         points = image(rng)
         x, y, z = np.moveaxis(points, -1, 0)
         images.append(noisy(points / (1.0 + z * (0.01 * x / z - 0.02 * y / z + 0.01))[..., None], rng))
     found = with_warp("camera", CAMERA, log_of(images))
-    left = 0.0 if found.warp is None else np.std((1.0, 1.5) @ found.warp.over(120, 160).reshape(2, -1))
-    assert left < 0.001
+    assert found.warp is None or np.std((1.0, 1.5) @ found.warp.over(120, 160).reshape(2, -1)) < 0.001
 
 
 def test_few_cameras_without_a_warp_are_given_one() -> None:
@@ -163,14 +151,8 @@ def test_images_that_cannot_be_read_are_left_out() -> None:
     rng = np.random.default_rng(12)
     warp = drawn(rng, 0.003, grows=False)
     scans = log_of([noisy(put_on(image(rng), warp), rng) for _ in range(22)]).events
-    log = Log(
-        [
-            *scans,
-            StoredCloud({"stamp_ns": 22, "sensor": "camera"}, {"points": broken}),
-            CloudScan(23, "camera", np.full((120, 160, 3), np.nan)),
-        ],
-        Path("x"),
-    )
+    stored = StoredCloud({"stamp_ns": 22, "sensor": "camera"}, {"points": broken})
+    log = Log([*scans, stored, CloudScan(23, "camera", np.full((120, 160, 3), np.nan))], Path("x"))
     assert with_warp("camera", CAMERA, log).warp is not None
 
 
@@ -181,18 +163,13 @@ def test_a_stated_warp_is_taken_and_kept_in_files(tmp_path: Path) -> None:
     assert Rig.from_yaml(tmp_path / "rig.yaml").sensors["camera"].warp == warp
     log = log_of([image(np.random.default_rng(13)) for _ in range(3)])
     assert with_shown_errors(log, rig) is rig and not log.notes
-    down, across = np.cos(np.pi / 4.0), np.cos(np.pi / 4.0)
-    share, per_m = warp.over(2, 2)
-    assert np.allclose(share, 0.01 * np.array([[across, -across]] * 2))
-    assert np.allclose(per_m, 0.002 * np.array([[down] * 2, [-down] * 2]))
+    half, (share, per_m) = np.cos(np.pi / 4.0), warp.over(2, 2)
+    assert np.allclose(share, 0.01 * np.array([[half, -half]] * 2))
+    assert np.allclose(per_m, 0.002 * np.array([[half] * 2, [-half] * 2]))
     points = np.full((2, 2, 3), 1.0)
     taken = usable_points(points, rig.sensors["camera"])
     assert np.allclose(points / taken, (1.0 + share + per_m * 3.0**0.5)[..., None])
-    for wrong in (
-        {"shares": ((0.0,),), "shares_per_m": ()},
-        {"shares": ((0.0,), (0.0, 1.0)), "shares_per_m": ((0.0,),) * 2},
-    ):
+    zeros = ((0.0,),)
+    for wrong, per_m in ((zeros, ()), (((0.0,), (0.0, 1.0)), zeros * 2), (((np.nan,),), zeros)):
         with pytest.raises(ValidationError):
-            RangeWarp(**wrong)
-    with pytest.raises(ValidationError):
-        RangeWarp(shares=((np.nan,),), shares_per_m=((0.0,),))
+            RangeWarp(shares=wrong, shares_per_m=per_m)

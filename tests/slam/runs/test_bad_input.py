@@ -49,10 +49,8 @@ def without(log: Log, sensor: str, after_ns: int = -1) -> Log:
 
 @pytest.mark.parametrize("part", ["plane", "motion"])
 def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
-    scene = drive(0, count=4)
-    slam = run_of(scene.keyframes[:2])
-    good = scene.keyframes[2]
-    wrong = np.diag([1e-4, 1e-4, -1e-4])
+    scene, wrong = drive(0, count=4), np.diag([1e-4, 1e-4, -1e-4])
+    slam, good = run_of(scene.keyframes[:2]), scene.keyframes[2]
     if part == "plane":
         first = good.observations[0]
         assert isinstance(first, PlaneObservation)
@@ -68,8 +66,7 @@ def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
         slam.add_keyframe(bad)
     assert len(slam.trajectory) == 2
     run_of(scene.keyframes[2:], slam)
-    clean = run_of(scene.keyframes)
-    np.testing.assert_array_equal(slam.trajectory.poses, clean.trajectory.poses)
+    np.testing.assert_array_equal(slam.trajectory.poses, run_of(scene.keyframes).trajectory.poses)
 
 
 @pytest.mark.parametrize(
@@ -135,9 +132,8 @@ def test_a_cloud_that_cannot_be_used_is_counted_and_ends_a_strict_run(hall: Miss
     third = hall.log.scans()[2].stamp_ns
 
     def break_third(_, event):
-        if isinstance(event, CloudScan) and event.stamp_ns == third:
-            return [replace(event, points=np.zeros((5, 7, 2)))]
-        return [event]
+        is_third = isinstance(event, CloudScan) and event.stamp_ns == third
+        return [replace(event, points=np.zeros((5, 7, 2))) if is_third else event]
 
     log = with_events(hall, break_third)
     run = run_slam(log, hall.rig, SlamConfig())
@@ -167,8 +163,7 @@ def test_a_silent_sensor_is_named(room: Mission):
     never = without(room.log, VERTICAL)
     assert silences(never, room.rig) == [f"sensor '{VERTICAL}' is silent: no scan of it in the log"]
     stamps = [scan.stamp_ns for scan in room.log.scans(HORIZONTAL)]
-    early = without(room.log, HORIZONTAL, after_ns=stamps[3])
-    (sentence,) = silences(early, room.rig)
+    (sentence,) = silences(without(room.log, HORIZONTAL, after_ns=stamps[3]), room.rig)
     assert sentence.startswith(f"sensor '{HORIZONTAL}' is silent for") and "to the end" in sentence
     run = run_slam(never, room.rig, SlamConfig())
     assert len(run.trajectory) > 2
@@ -181,12 +176,10 @@ def test_a_batch_is_the_same_graph_and_the_run_can_go_on(hall: Mission):
     np.testing.assert_allclose(whole.trajectory.poses, steps.trajectory.poses, atol=2e-3)
     assert [one.id for one in whole.planes] == [one.id for one in steps.planes]
     assert SPINNING in {scan.sensor for scan in hall.log.scans()}
-    chi2 = whole.slam.backend.chi2()
-    assert chi2 <= steps.slam.backend.chi2() + 1e-6
+    assert whole.slam.backend.chi2() <= steps.slam.backend.chi2() + 1e-6
     landmark = next(one for one in whole.slam.landmarks if one.n_keyframes == 4)
-    factors = whole.slam.backend.graph
+    factors, last = whole.slam.backend.graph, whole.slam.keyframes[-1]
     assert all(landmark.key in list(factors.at(one.factor_index).keys()) for one in landmark.sightings)
-    last = whole.slam.keyframes[-1]
     whole.slam.add_keyframe(Keyframe(last.stamp_ns + 1, last.observations, last.motion))
 
 

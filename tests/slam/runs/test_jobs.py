@@ -59,8 +59,7 @@ def test_fewer_than_one_job_is_refused(mission: Mission):
 def test_scans_on_the_disk_are_read_by_all_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A file's position is one for all processes that were forked with it open."""
     monkeypatch.setattr("slam.lazy._IN_MEMORY_BYTES", 1 << 10)
-    mission = simulate_mission("room", n_scans=120, seed=0)
-    mission.save(tmp_path / "room")
+    simulate_mission("room", n_scans=120, seed=0).save(tmp_path / "room")
     alone, shared = (list(keyframes_of(*load(tmp_path / "room"), SlamConfig(), jobs=jobs)) for jobs in (1, 3))
     assert [encode(one.observations) for one in alone] == [encode(one.observations) for one in shared]
 

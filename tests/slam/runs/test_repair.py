@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -106,9 +105,8 @@ def test_the_mended_run_is_what_its_session_is_replayed_to(mended):
 
 
 def test_it_goes_on_as_any_run(mended, frames: list[Keyframe], tmp_path: Path):
-    path = mended[1]
     copy = tmp_path / "session.db"
-    copy.write_bytes(path.read_bytes())
+    copy.write_bytes(mended[1].read_bytes())
     with PlaneSlam.open(copy) as slam:
         last = frames[-1]
         slam.add_keyframe(replace(last, stamp_ns=last.stamp_ns + 10**9))
@@ -124,16 +122,19 @@ def test_until_the_new_map_counts_the_session_is_the_old_one(mended, bent: Path)
         assert all(encode(session.decisions(k)) == encode(before.decisions(k)) for k in range(len(before)))
 
 
+def damaged(path: Path, copy: Path, table: str, row: str) -> Path:
+    """A copy of a session of which a row of a table has a byte too many."""
+    copy.write_bytes(path.read_bytes())
+    with sqlite3.connect(copy) as other:
+        other.execute(f"UPDATE {table} SET data = data || X'00' WHERE {row}")
+    return copy
+
+
 def test_damaged_places_are_said_and_a_salvaged_session_keeps_whole_ones(mended, tmp_path: Path):
-    path, damaged, saved = mended[1], tmp_path / "damaged.db", tmp_path / "saved.db"
-    damaged.write_bytes(path.read_bytes())
-    with sqlite3.connect(damaged) as other:
-        other.execute("UPDATE session SET data = data || X'00' WHERE key = 'places'")
+    path = mended[1]
     with pytest.raises(SessionDamaged, match="places"):
-        Session.open(damaged, read_only=True)
-    saved.write_bytes(path.read_bytes())
-    with sqlite3.connect(saved) as other:
-        other.execute("UPDATE keyframes SET data = data || X'00' WHERE id = 80")
+        Session.open(damaged(path, tmp_path / "damaged.db", "session", "key = 'places'"), read_only=True)
+    saved = damaged(path, tmp_path / "saved.db", "keyframes", "id = 80")
     assert "saved 80 keyframes" in salvage_session(saved)
     with Session.open(saved, read_only=True) as again, Session.open(path, read_only=True) as whole:
         for index in range(80):
@@ -150,15 +151,9 @@ def test_numbers_and_table_tell_what_was_repaired(mended, truth: Drive):
     assert details_of(run)["repairs"][0]["before"].startswith("the map is broken")
 
 
-@pytest.mark.parametrize(
-    ("change", "keeps"),
-    [
-        (lambda config: config, True),
-        (lambda config: config.model_copy(update={"loops": LoopConfig(max_candidates=0)}), False),
-    ],
-)
-def test_where_no_loops_are_looked_for_none_are_mended(change: Callable[[SlamConfig], SlamConfig], keeps: bool):
-    assert is_open_to_repair(PlaneSlam(change(SlamConfig()))) is keeps
+@pytest.mark.parametrize(("loops", "keeps"), [(LoopConfig(), True), (LoopConfig(max_candidates=0), False)])
+def test_where_no_loops_are_looked_for_none_are_mended(loops: LoopConfig, keeps: bool):
+    assert is_open_to_repair(PlaneSlam(SlamConfig(loops=loops))) is keeps
 
 
 @pytest.fixture(scope="module")
@@ -191,26 +186,17 @@ def test_a_wrong_start_in_a_prior_map_is_found(misplaced: tuple[Run, corpus.Driv
 
 
 def test_a_start_that_was_found_is_told_from_a_damaged_one_and_is_salvaged(misplaced, tmp_path: Path):
-    path, damaged, saved = misplaced[2], tmp_path / "damaged.db", tmp_path / "saved.db"
-    for copy, what in (
-        (damaged, "UPDATE session SET data = data || X'00' WHERE key = 'start'"),
-        (saved, "UPDATE keyframes SET data = data || X'00' WHERE id = 20"),
-    ):
-        copy.write_bytes(path.read_bytes())
-        with sqlite3.connect(copy) as other:
-            other.execute(what)
+    path = misplaced[2]
     with pytest.raises(SessionDamaged, match="start"):
-        Session.open(damaged, read_only=True)
+        Session.open(damaged(path, tmp_path / "damaged.db", "session", "key = 'start'"), read_only=True)
+    saved = damaged(path, tmp_path / "saved.db", "keyframes", "id = 20")
     salvage_session(saved)
     with PlaneSlam.open(saved, read_only=True) as again, PlaneSlam.open(path, read_only=True) as whole:
         assert len(again.keyframes) == 20
         assert np.array_equal(again.prior.world_T_start, whole.prior.world_T_start)
 
 
-@pytest.mark.parametrize(
-    ("name", "asks"),
-    [("office/level/good/prior", 0), ("office/lidar16/good/prior_elsewhere", 1)],
-)
+@pytest.mark.parametrize(("name", "asks"), [("office/level/good/prior", 0), ("office/lidar16/good/prior_elsewhere", 1)])
 def test_a_right_start_is_kept_and_in_another_building_there_is_none(
     name: str, asks: int, monkeypatch: pytest.MonkeyPatch
 ):
