@@ -29,17 +29,14 @@ def blocks_of(page: Path) -> list[tuple[int, str]]:
 
 def test_every_command_of_the_readme_exists():
     commands = re.findall(r"^    spplanes (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    known = {
-        command.name or (command.callback.__name__ if command.callback else "") for command in app.registered_commands
-    }
+    known = {one.name or (one.callback.__name__ if one.callback else "") for one in app.registered_commands}
     assert set(commands) <= known and len(set(commands)) >= 7
 
 
 def test_every_picture_of_the_gallery_is_made_by_the_tool():
     tool = (ROOT / "tools" / "figures.py").read_text(encoding="utf-8")
     pictures = LINK.findall((ROOT / "docs" / "gallery.md").read_text(encoding="utf-8"))
-    assert len(pictures) >= 5
-    assert [name for name in pictures if f'"{Path(name).name}"' not in tool] == []
+    assert len(pictures) >= 5 and [name for name in pictures if f'"{Path(name).name}"' not in tool] == []
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks_of(page)], ids=lambda page: page.stem)
@@ -102,6 +99,5 @@ def test_every_public_name_is_in_the_api_reference():
 
 
 def test_the_version_is_the_same_everywhere():
-    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\nversion: {__version__}\n" in citation
-    assert __version__ in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for name, told in (("CITATION.cff", f"\nversion: {__version__}\n"), ("CHANGELOG.md", __version__)):
+        assert told in (ROOT / name).read_text(encoding="utf-8")

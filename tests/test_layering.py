@@ -17,47 +17,19 @@ FORBIDDEN = {
 }
 NEVER = {"tests", "examples", "benchmarks"}
 
-#: Rooms from the ground up: each imports from rooms in lines above its own only; those of one line stand apart.
-ROOMS = {
+#: Rooms from the ground up: each imports from rooms of earlier steps only, and those of one step stand apart.
+ORDER = {
     "slam": (
-        ("errors", "timing", "ahead", "_field_types"),
-        ("_yaml", "lazy"),
-        ("config",),
-        ("geometry",),
-        ("sensors",),
-        ("io",),
-        ("frontend",),
-        ("backend",),
-        ("map",),
-        ("registration",),
-        ("tracking",),
-        ("mapping",),
-        ("loop_closure",),
-        ("session",),
-        ("files",),
-        ("planeslam",),
-        ("diagnostics",),
-        ("floorplan",),
-        ("simulation",),
-        ("evaluation",),
-        ("joining",),
-        ("runs",),
-        ("visualization",),
-        ("output",),
-        ("fleet",),
-        ("cli",),
+        "errors timing ahead _field_types < _yaml lazy < config < geometry < sensors < io < frontend < backend < map"
+        " < registration < tracking < mapping < loop_closure < session < files < planeslam < diagnostics < floorplan"
+        " < simulation < evaluation < joining < runs < visualization < output < fleet < cli"
     ),
     "spplanes": (
-        ("_version", "_check", "_jit", "_threads"),
-        ("_hesse", "_rows", "noise", "spmodel"),
-        ("plane", "line"),
-        ("moments",),
-        ("fitting", "outlines"),
-        ("clouds", "lines", "registration"),
-        ("segmentation",),
-        ("mapping",),
+        "_version _check _jit _threads < _hesse _rows noise spmodel < plane line < moments < fitting outlines"
+        " < clouds lines registration < segmentation < mapping"
     ),
 }
+ROOMS = {package: [rooms.split() for rooms in order.split(" < ")] for package, order in ORDER.items()}
 #: No folder holds more modules than this, `__init__` apart; `slam` itself fewer.
 MOST_MODULES, MOST_IN_SLAM = 15, 10
 
@@ -87,15 +59,11 @@ def imports_of(source: str, known: set[str] | dict[str, Path] = frozenset()) -> 
     return names
 
 
-def graph() -> dict[str, set[str]]:
-    """Imports among our own modules."""
-    return {
-        name: {one for one in imports_of(path.read_text(encoding="utf-8"), MODULES) if one in MODULES} - {name}
-        for name, path in MODULES.items()
-    }
-
-
-GRAPH = graph()
+#: Imports among our own modules.
+GRAPH = {
+    name: (imports_of(path.read_text(encoding="utf-8"), MODULES) & MODULES.keys()) - {name}
+    for name, path in MODULES.items()
+}
 
 
 def room_of(module: str) -> str | None:
@@ -158,7 +126,5 @@ def test_tests_mirror_the_rooms(package: str):
 
 
 def test_the_scanner_sees_nested_and_from_imports():
-    source = (
-        "import os\ndef f():\n    from slam.cli import main\n    import gtsam.noiseModel\n    from slam import cli\n"
-    )
+    source = "import os\ndef f():\n  from slam.cli import main\n  import gtsam.noiseModel\n  from slam import cli\n"
     assert imports_of(source, {"slam.cli"}) == {"os", "slam.cli", "gtsam.noiseModel"}

@@ -91,15 +91,13 @@ def test_an_sdist_holds_what_is_under_version_control(tmp_path: Path):
 
 
 def test_this_python_is_supported_and_the_version_is_found():
-    assert version() == __version__
-    assert supported_pythons()
+    assert version() == __version__ and supported_pythons()
 
 
 def core_packages() -> list[str]:
     """The dependencies of the core and theirs, as installed, by name."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    waiting = list(project["dependencies"])
-    found: set[str] = set()
+    waiting, found = list(project["dependencies"]), set()
     while waiting:
         wanted = Requirement(waiting.pop())
         name = canonicalize_name(wanted.name)

@@ -17,15 +17,9 @@ OWN_PIPES = {"slam/ahead.py": "import pickle"}
 FORBIDDEN_NAMES = {"eval", "exec", "compile", "__import__"}
 #: Attributes by the name they are called under: YAML that builds objects, archives that write where they like, shells.
 FORBIDDEN_ATTRIBUTES = {
-    ("yaml", "load"),
-    ("yaml", "load_all"),
-    ("yaml", "full_load"),
-    ("yaml", "unsafe_load"),
-    ("yaml", "Loader"),
-    ("yaml", "UnsafeLoader"),
-    ("os", "system"),
-    ("os", "popen"),
-    ("tempfile", "mktemp"),
+    "yaml": {"load", "load_all", "full_load", "unsafe_load", "Loader", "UnsafeLoader"},
+    "os": {"system", "popen"},
+    "tempfile": {"mktemp"},
 }
 FORBIDDEN_METHODS = {"extract", "extractall", "unpack_archive"}
 FORBIDDEN_KEYWORDS = {"allow_pickle": True, "shell": True}
@@ -42,7 +36,7 @@ def problems(source: str) -> list[str]:
             found += [f"{node.lineno}: import {name}" for name in names if name.split(".")[0] in FORBIDDEN_MODULES]
         elif isinstance(node, ast.Attribute):
             owner = node.value.id if isinstance(node.value, ast.Name) else ""
-            if (owner, node.attr) in FORBIDDEN_ATTRIBUTES or node.attr in FORBIDDEN_METHODS:
+            if node.attr in FORBIDDEN_ATTRIBUTES.get(owner, set()) | FORBIDDEN_METHODS:
                 found.append(f"{node.lineno}: {owner}.{node.attr}")
         elif isinstance(node, ast.Call):
             if isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_NAMES:

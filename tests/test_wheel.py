@@ -41,6 +41,13 @@ def environment(**more: str) -> dict[str, str]:
     return {**kept, **more}
 
 
+def output(words: list[object], environment: dict[str, str], folder: Path | None = None) -> str:
+    """What a command prints that must end well."""
+    done = subprocess.run(words, env=environment, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if GIVEN:
@@ -48,14 +55,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("hatchling")
     folder = tmp_path_factory.mktemp("dist")
     build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
-    said = subprocess.run(
-        [*build, f"--wheel-dir={folder}", str(PROJECT)],
-        env=environment(SPPLANES_KERNELS="plane"),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert said.returncode == 0, said.stderr
+    output([*build, f"--wheel-dir={folder}", str(PROJECT)], environment(SPPLANES_KERNELS="plane"))
     [built] = folder.iterdir()
     return built
 
@@ -68,22 +68,13 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     [packages] = folder.glob("lib/python*/site-packages")
     (packages / "needed.pth").write_text(sysconfig.get_path("purelib") + "\n")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", f"--target={packages}", str(wheel)]
-    subprocess.run(pip, env=environment(), check=True, capture_output=True)
+    output(pip, environment())
     return folder / "bin" / "python"
 
 
 def told(python: Path, folder: Path, code: str, **more: str) -> tuple[list[str], dict[str, object]]:
     """What a program prints, and what became of the kernels; away from this clone, with a home of its own."""
-    done = subprocess.run(
-        [python, "-c", code + TOLD],
-        cwd=folder,
-        env=environment(HOME=str(folder), **more),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    *lines, last = done.stdout.splitlines()
+    *lines, last = output([python, "-c", code + TOLD], environment(HOME=str(folder), **more), folder).splitlines()
     return lines, json.loads(last)
 
 
@@ -99,8 +90,7 @@ def test_the_wheel_says_what_it_is_for(wheel: Path):
 
 def test_nothing_is_compiled_where_it_is_installed(python: Path, tmp_path: Path):
     printed, kernels = told(python, tmp_path, FIT)
-    assert str(python.parent.parent) in str(kernels["place"])
-    assert kernels["compiled"] == [] and kernels["loaded"]
+    assert str(python.parent.parent) in str(kernels["place"]) and kernels["compiled"] == [] and kernels["loaded"]
     assert left_behind(python.parent.parent, tmp_path) == []
     elsewhere = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     compiled, without = told(python, tmp_path, FIT, **elsewhere)
@@ -116,9 +106,8 @@ def test_nothing_is_compiled_by_a_fit_and_by_the_demo(python: Path, tmp_path: Pa
         "np.save('cloud.npy', rng.permutation(np.concatenate(walls)))\n"
     )
     for words in (["fit", "cloud.npy"], ["demo", "--scans", "60", "--out", "demo"]):
-        _, kernels = told(
-            python, tmp_path, f"{cloud}from slam.cli import main\ntry: main({words})\nexcept SystemExit: pass"
-        )
+        command = f"from slam.cli import main\ntry: main({words})\nexcept SystemExit: pass"
+        _, kernels = told(python, tmp_path, cloud + command)
         assert kernels["compiled"] == [], words
         assert kernels["loaded"]
     assert left_behind(python.parent.parent, tmp_path) == []

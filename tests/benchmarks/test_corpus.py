@@ -21,8 +21,7 @@ from spplanes import Plane
 def test_every_kind_of_everything_is_in_the_corpus():
     for names in (simulated(), SHORT):
         words = [name.split("/") for name in names]
-        assert {word[0] for word in words} == set(WORLDS)
-        assert {word[2] for word in words} == set(ODOMETRIES)
+        assert {word[0] for word in words} == set(WORLDS) and {word[2] for word in words} == set(ODOMETRIES)
         assert {word[3] for word in words} == set(DISTURBANCES)
     assert {name.split("/")[1] for name in simulated()} == set(SENSORS)
 
@@ -40,9 +39,7 @@ def test_drives_are_chosen_by_part_pattern_and_name_and_by_seed():
 
 def test_drawn_drives_are_those_of_their_seeds():
     first, again, later = drawn(12, range(100, 101)), drawn(12, range(100, 101)), drawn(6, range(106, 107))
-    assert first == again
-    assert first[6:] == later
-    assert len({entry.name for entry in first}) > 6
+    assert first == again and first[6:] == later and len({entry.name for entry in first}) > 6
     names = {entry.name for entry in drawn(400, range(400))}
     assert not any("pushbroom/absent" in name or "pushbroom/still" in name for name in names)
     assert any("level/absent" in name for name in names)  # a level laser measures the motion itself
@@ -85,8 +82,7 @@ def test_doubles_are_landmarks_of_one_piece_of_a_plane_not_pieces_that_lie_apart
 
     planes = [replace(patch(x), outline=box(-0.5, -0.5, 0.5, 0.5)) for x in (0.0, 0.3, 5.0)]
     matches = [PlaneMatch(k, 7, 0.0, 0.0, 0.0) for k in range(3)]
-    assert doubles(planes, matches) == 1
-    assert doubles(planes, [matches[0], replace(matches[1], true=8), matches[2]]) == 0
+    assert doubles(planes, matches) == 1 and doubles(planes, [matches[0], replace(matches[1], true=8), matches[2]]) == 0
 
 
 def test_a_run_that_fails_or_hangs_is_a_row_and_the_next_one_runs():
@@ -99,13 +95,9 @@ def test_a_run_that_fails_or_hangs_is_a_row_and_the_next_one_runs():
 def test_a_drive_is_run_and_scored():
     """A corridor: what odometry adds between keyframes is part of the claim, so all scans are within a few sigmas."""
     row = run_entry(Entry("bare/level/good/half", 1), {})
-    assert row["compared"] >= row["keyframes"] > 10
-    assert row["worst, m"] < 4.0 * row["sigma, m"]
-    assert row["worst, m"] >= row["rmse, m"] > 0.0
-    assert row["judged"] in ("right", "open")
-    assert row["pose dof"] == 3
-    assert row["pose NEES"] < 20.0
-    assert row["matched"] == row["planes"] == 2
+    assert row["compared"] >= row["keyframes"] > 10 and row["worst, m"] < 4.0 * row["sigma, m"]
+    assert row["worst, m"] >= row["rmse, m"] > 0.0 and row["judged"] in ("right", "open") and row["pose dof"] == 3
+    assert row["pose NEES"] < 20.0 and row["matched"] == row["planes"] == 2
     assert row["duplicates"] == row["invented"] == 0
 
 
@@ -122,22 +114,17 @@ def test_rows_are_put_together_by_kind():
     lines = {line["kind"]: line for line in by_kind(ROWS)}
     assert list(lines) == ["world hall", "world bare", "sensors level", "with nothing wrong", "all"]
     hall = lines["world hall"]
-    assert hall["> 10 cm, %"] == pytest.approx(200.0 / 3.0)
-    assert hall["rmse, mm"] == pytest.approx(20.0)
-    assert hall["duplicates, %"] == pytest.approx(20.0)
-    assert hall["sound/doubtful/broken"] == "2/0/1"
-    assert (hall["wrong, warned"], hall["right, warned"]) == ("1 of 2", "0 of 1")
-    assert lines["world bare"]["failed"] == 1
+    assert hall["> 10 cm, %"] == pytest.approx(200.0 / 3.0) and hall["rmse, mm"] == pytest.approx(20.0)
+    assert hall["duplicates, %"] == pytest.approx(20.0) and hall["sound/doubtful/broken"] == "2/0/1"
+    assert (hall["wrong, warned"], hall["right, warned"]) == ("1 of 2", "0 of 1") and lines["world bare"]["failed"] == 1
     assert lines["all"]["runs"] == 4
 
 
 def test_two_runs_of_the_corpus_side_by_side_over_what_both_have():
     after = [{**row, "rmse, m": 0.005, "worst, m": 0.02} for row in ROWS[:2]]
     lines = {line["kind"]: line for line in compared(ROWS, after)}
-    assert lines["world hall"]["runs"] == 2
-    assert lines["world hall"]["> 10 cm, %"] == "50 -> 0"
-    assert lines["world hall"]["rmse, mm"] == "15 -> 5"
-    assert "world bare" not in lines
+    assert lines["world hall"]["runs"] == 2 and lines["world hall"]["> 10 cm, %"] == "50 -> 0"
+    assert lines["world hall"]["rmse, mm"] == "15 -> 5" and "world bare" not in lines
 
 
 def test_switches_change_what_they_name_and_nothing_else():
@@ -161,16 +148,13 @@ def test_an_ablation_names_the_kinds_that_get_worse_beyond_their_spread():
     lines = ablation.table({"": rows(1.0, 0.0), "this": rows(2.0, 0.1), "nothing": rows(1.0, 0.0)})
     assert [line["without"] for line in lines] == ["none", "this", "nothing"]
     assert "world hall (2." in lines[1]["kinds worse"] or "world hall (1.9" in lines[1]["kinds worse"]
-    assert "bare" not in lines[1]["kinds worse"]
-    assert lines[2]["touched"] == 0
-    assert lines[2]["kinds worse"] is None
+    assert "bare" not in lines[1]["kinds worse"] and lines[2]["touched"] == 0 and lines[2]["kinds worse"] is None
 
 
 @pytest.mark.parametrize(
     "words", [["--kind", "castle"], ["--kind", "castle/level"], ["--compare", "nowhere.json"], ["--resume"]]
 )
 def test_options_that_make_no_sense_end_with_code_2(words, capsys):
-    assert corpus_main.main(words) == 2
-    assert "benchmarks corpus: " in capsys.readouterr().err
+    assert corpus_main.main(words) == 2 and "benchmarks corpus: " in capsys.readouterr().err
     if words[0] == "--kind":
         assert ablation.main(words) == 2

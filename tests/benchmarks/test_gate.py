@@ -86,9 +86,7 @@ def test_the_command_fails_on_a_worse_ratio_and_on_a_worse_accuracy(monkeypatch,
         monkeypatch.setattr(command, "run_one", lambda *_: {"rows": rows, "seconds": 1.0, "peak_MB": 1.0})
         return main([*words, "scenes"])
 
-    assert exit_code(["--write"]) == 0
-    assert exit_code(["--gate"]) == 0
-    assert exit_code(["--gate"], **{"CPU ms": 17.0}) == 1
+    assert exit_code(["--write"]) == 0 and exit_code(["--gate"]) == 0 and exit_code(["--gate"], **{"CPU ms": 17.0}) == 1
     assert exit_code(["--gate"], **{"error, mm": 6.0}) == 1
     assert "scenes: c0: error, mm (accuracy): 6, kept 5" in capsys.readouterr().out
 
@@ -122,5 +120,4 @@ def test_a_short_run_leaves_the_rows_it_does_not_measure_with_their_date(tmp_pat
 
 
 def test_an_unknown_name_is_exit_code_2(capsys: pytest.CaptureFixture[str]):
-    assert main(["fits"]) == 2
-    assert "expected names out of fit, " in capsys.readouterr().err
+    assert main(["fits"]) == 2 and "expected names out of fit, " in capsys.readouterr().err

@@ -16,16 +16,11 @@ if TYPE_CHECKING:
 class BeamErrors(NamedTuple):
     """All beams of one sensor that hit a plane, N of them."""
 
-    range_m: np.ndarray
-    """Ranges read less those at which the beams meet their planes, (N,)."""
-    points: np.ndarray
-    """What was read, in the sensor's axes, (N, 3)."""
-    rays: np.ndarray
-    """Their directions there, (N, 3)."""
-    cosine: np.ndarray
-    """Of the angles between the beams and the normals against them, (N,)."""
-    labels: np.ndarray
-    """The planes' numbers, (N,)."""
+    range_m: np.ndarray  # ranges read less those at which the beams meet their planes, (N,)
+    points: np.ndarray  # what was read, in the sensor's axes, (N, 3)
+    rays: np.ndarray  # their directions there, (N, 3)
+    cosine: np.ndarray  # of the angles between the beams and the normals against them, (N,)
+    labels: np.ndarray  # the planes' numbers, (N,)
 
 
 def beam_errors(mission: Mission | Drive, sensor: str) -> BeamErrors:

@@ -24,34 +24,23 @@ PATCH_M = 0.5
 class LaserSettings:
     """A laser that looks ahead."""
 
-    n_beams: int = 181
-    """Beams over half a turn."""
-    range_max_m: float = 8.0
-    """Farther returns are none, m."""
-    sigma_m: float = 0.01
-    """Standard deviation of a range, m; readings are in whole centimetres."""
-    unevenness_m: float = 0.005
-    """Standard deviation of a patch of a wall from straight, m."""
+    n_beams: int = 181  # over half a turn
+    range_max_m: float = 8.0  # farther returns are none
+    sigma_m: float = 0.01  # standard deviation of a range; readings are in whole centimetres
+    unevenness_m: float = 0.005  # standard deviation of a patch of a wall from straight
 
 
 @dataclass(frozen=True)
 class Wheels:
     """What the odometry does wrong."""
 
-    scale: float = 0.03
-    """Share by which ways are read too long."""
-    curvature_rad_per_m: float = 0.03
-    """Turn that is not read, per metre, rad."""
-    noise_rad_per_sqrt_m: float = 0.015
-    """Random turn after a metre, rad."""
-    noise_per_turn: float = 0.03
-    """Random turn after turning by a radian, rad."""
-    slip_rad: float = 0.1
-    """Turn that is not read at each of the slips, rad."""
-    slip_m: float = 0.2
-    """Way that is read and not driven at each of the slips, m."""
-    n_slips: int = 2
-    """Slips on the whole way."""
+    scale: float = 0.03  # share by which ways are read too long
+    curvature_rad_per_m: float = 0.03  # turn that is not read, per metre
+    noise_rad_per_sqrt_m: float = 0.015  # random turn after a metre
+    noise_per_turn: float = 0.03  # random turn after turning by a radian
+    slip_rad: float = 0.1  # turn that is not read at each of the slips
+    slip_m: float = 0.2  # way that is read and not driven at each of the slips
+    n_slips: int = 2  # on the whole way
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,10 +162,8 @@ def _misread(last: FloatArray, pose: FloatArray, wheels: Wheels, slips: bool, rn
     """The step between two poses (x, y, theta) as the wheels read it, shape (4, 4)."""
     step = inverse(planar_transform(*last)) @ planar_transform(*pose)
     way, turn = float(step[0, 3]), float(np.arctan2(step[1, 0], step[0, 0]))
-    turn_read = turn - wheels.curvature_rad_per_m * abs(way)
-    turn_read += rng.normal(
-        0.0, np.hypot(wheels.noise_rad_per_sqrt_m * np.sqrt(abs(way)), wheels.noise_per_turn * np.sqrt(abs(turn)))
-    )
+    noise = wheels.noise_rad_per_sqrt_m * np.sqrt(abs(way)), wheels.noise_per_turn * np.sqrt(abs(turn))
+    turn_read = turn - wheels.curvature_rad_per_m * abs(way) + rng.normal(0.0, np.hypot(*noise))
     way_read = way * (1.0 + wheels.scale)
     if slips:
         turn_read -= wheels.slip_rad

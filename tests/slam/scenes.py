@@ -75,11 +75,9 @@ def drive(seed: int, *, count: int = 15, turns: float = 0.75) -> Drive:
             covariance = NOISE.covariance(delta)
             noisy = delta + np.linalg.cholesky(covariance) @ rng.standard_normal(3)
             motion = Motion(planar_transform(*noisy), covariance, (1e-3, 1e-3, 1e-3))
-        seen: list[Observation] = [
-            PlaneObservation(measured(plane.transform(inverse(pose)), rng)) for plane in room_planes()
-        ]
-        guess = pose if index == 0 else None
-        keyframes.append(Keyframe(index * PERIOD_NS, seen, motion, guess))
+        planes = [measured(plane.transform(inverse(pose)), rng) for plane in room_planes()]
+        seen: list[Observation] = [PlaneObservation(plane) for plane in planes]
+        keyframes.append(Keyframe(index * PERIOD_NS, seen, motion, pose if index == 0 else None))
     return Drive(keyframes, poses)
 
 

@@ -34,8 +34,7 @@ def test_rows_are_what_was_put_in():
 def test_past_poses_come_back_bit_for_bit():
     rng, past, made = np.random.default_rng(0), PastPoses(), {}
     for number in (3, 0, 600, 599):
-        joint = rng.normal(size=(12, 12))
-        base = gtsam.symbol("x", number + 1)
+        joint, base = rng.normal(size=(12, 12)), gtsam.symbol("x", number + 1)
         poses = [gtsam.Pose3.Expmap(rng.normal(size=6)).matrix() for _ in range(2)]
         made[gtsam.symbol("x", number)] = PastPose.of(base, *poses, joint @ joint.T)  # type: ignore[call-arg]
     for key, one in made.items():
@@ -46,9 +45,8 @@ def test_past_poses_come_back_bit_for_bit():
     for key, one in made.items():
         asked: list[int] = []
         assert key in past
-        assert np.array_equal(
-            past.pose(key, lambda base, asked=asked: asked.append(base) or here), here @ one.base_T_pose
-        )
+        pose = past.pose(key, lambda base, asked=asked: asked.append(base) or here)
+        assert np.array_equal(pose, here @ one.base_T_pose)
         assert np.array_equal(past.covariance(key, lambda base: there), one.covariance(there))
         assert asked == [one.base_key]
 
@@ -84,18 +82,13 @@ def test_a_copy_of_what_waits_on_the_disk_is_in_memory():
     assert scan.world_T_body is None and scan.sensor == "laser"
     reading = replace(StoredReading({"stamp_ns": 1}, {"odom_T_body": lambda place: place * np.eye(4)}, 7), stamp_ns=2)
     assert type(reading) is OdometryReading and reading.stamp_ns == 2 and reading.odom_T_body[0, 0] == 7.0
-    cloud = replace(
-        StoredCloud({"stamp_ns": 1, "sensor": "laser"}, {"points": lambda _: np.ones((4, 3))}), sensor="other"
-    )
+    stored_cloud = StoredCloud({"stamp_ns": 1, "sensor": "laser"}, {"points": lambda _: np.ones((4, 3))})
+    cloud = replace(stored_cloud, sensor="other")
     assert type(cloud) is CloudScan and cloud.sensor == "other" and cloud.points.shape == (4, 3)
-    whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 9)))
-    whole = replace(whole, notes=("dusty",))
+    whole = replace(drive(0, count=2).keyframes[1], surfaces=np.ones((2, 9)), notes=("dusty",))
     readers = {one.name: partial(lambda name, _: getattr(whole, name), one.name) for one in fields(Keyframe)}
     stored = StoredKeyframe({"stamp_ns": whole.stamp_ns}, readers)
-    assert stored.notes == ("dusty",)
-    assert repr(stored) == f"StoredKeyframe(stamp_ns={whole.stamp_ns})"
+    assert stored.notes == ("dusty",) and repr(stored) == f"StoredKeyframe(stamp_ns={whole.stamp_ns})"
     frame = replace(stored, notes=("late",))
-    assert type(frame) is Keyframe and frame.motion is whole.motion
-    assert frame.notes == ("late",)
-    assert frame.surfaces is whole.surfaces
-    assert list(frame.observations) == list(whole.observations)
+    assert type(frame) is Keyframe and frame.motion is whole.motion and frame.notes == ("late",)
+    assert frame.surfaces is whole.surfaces and list(frame.observations) == list(whole.observations)

@@ -8,9 +8,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import PlaneObservation
+from factors import PlaneObservation, plane_landmark
 from slam import PlaneSlam, SlamConfig
 from slam.frontend.keyframes import Keyframe
+from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.loop_closure.closing import LoopCloser
 from slam.map.data_association import associate
@@ -18,6 +19,7 @@ from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
 from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission
+from spplanes import Plane
 from spplanes.segmentation.scans import Labelled, label_scans
 from tests.slam.scenes import drive, planar_nees, room_planes, run_of
 from tests.statistics import assert_mean_in_band
@@ -25,8 +27,7 @@ from tests.statistics import assert_mean_in_band
 
 def test_one_landmark_for_every_plane_and_all_matches_right():
     slam = run_of(drive(0).keyframes)
-    assert len(slam.landmarks) == 6
-    assert [plane.observations for plane in slam.planes] == [15] * 6
+    assert len(slam.landmarks) == 6 and [plane.observations for plane in slam.planes] == [15] * 6
     for landmark in slam.landmarks:
         # the scene lists the planes in the same order in every keyframe
         assert {sighting.observation for sighting in landmark.sightings} == {landmark.sightings[0].observation}
@@ -60,8 +61,7 @@ def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not(
         planes = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
         sure = [PlaneObservation(replace(plane, covariance=plane.covariance / 2.0)) for plane in planes]
         lying.add_keyframe(replace(keyframe, observations=sure))
-    assert lying.audit.summary()[0].verdict == "over-confident"
-    assert "over-confident" in lying.audit.warnings()[0]
+    assert lying.audit.summary()[0].verdict == "over-confident" and "over-confident" in lying.audit.warnings()[0]
 
 
 def test_batch_and_incremental_agree():
@@ -72,20 +72,11 @@ def test_batch_and_incremental_agree():
 
 
 def test_a_wall_seen_from_behind_is_another_landmark():
-    slam = run_of(drive(4).keyframes)
-    scene = drive(4)
-    wall = room_planes()[3]
-    behind = wall.frame.copy()
+    scene, wall = drive(4), room_planes()[3]
+    slam, behind = run_of(scene.keyframes), wall.frame.copy()
     behind[:3, 1:3] *= -1.0
-    pose = scene.world_T_body[-1]
-    seen = [
-        type(scene.keyframes[0].observations[0])(
-            type(wall)(inverse(pose) @ behind, np.diag([1e-4] * 3), 500, wall.outline)
-        )
-    ]
-    motion = scene.keyframes[1].motion
-    assert motion is not None
-    still = type(motion)(np.eye(4), 1e-6 * np.eye(3), motion.out_of_plane_sigmas)
+    plane = Plane(inverse(scene.world_T_body[-1]) @ behind, np.diag([1e-4] * 3), 500, wall.outline)
+    seen, still = [PlaneObservation(plane)], Motion(np.eye(4), 1e-6 * np.eye(3), (1e-3, 1e-3, 1e-3))
     report = slam.add_keyframe(Keyframe(scene.keyframes[-1].stamp_ns + 1, seen, still))
     assert report.decisions[0].verdict == "new"
 
@@ -96,33 +87,22 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
     landmarks = list(slam.landmarks)
     assert same_plane_chi2(landmarks[0], landmarks[1], slam.backend) > 1e3
     # split a landmark by hand: the later half of its sightings under a new key
-    old = landmarks[2]
+    old, initial = landmarks[2], gtsam.Values()
     later = old.sightings[8:]
-    first = later[0]
-    observation = scene.keyframes[first.keyframe].observations[first.observation]
-    plane = observation.full_plane(0.01)
-    anchor = pose_symbol(first.keyframe)
-    copy = slam.landmarks.birth(observation, anchor, plane.frame, inverse(plane.frame))
-    initial = gtsam.Values()
-    from factors import plane_landmark
-
+    seen = [scene.keyframes[one.keyframe].observations[one.observation] for one in later]
+    plane, anchor = seen[0].full_plane(0.01), pose_symbol(later[0].keyframe)
+    copy = slam.landmarks.birth(seen[0], anchor, plane.frame, inverse(plane.frame))
     initial.insert(copy.key, plane_landmark(plane))
-    factors = [
-        scene.keyframes[s.keyframe].observations[s.observation].factor(pose_symbol(s.keyframe), copy.key, anchor)
-        for s in later
-    ]
+    poses = [pose_symbol(one.keyframe) for one in later]
+    factors = [one.factor(pose, copy.key, anchor) for one, pose in zip(seen, poses, strict=True)]
     indices = slam.backend.update(factors, initial, remove=[s.factor_index for s in later])
-    from dataclasses import replace
-
     copy.sightings += [replace(s, factor_index=i) for s, i in zip(later, indices, strict=True)]
     old.sightings[8:] = []
     slam.landmarks.refresh(slam.backend)
     before = slam.trajectory.poses.copy()
     assert slam._same_plane.pairs({copy.id}) == [(old.id, copy.id)]
     slam._merge_same_planes({copy.id})
-    assert len(slam.landmarks) == 6
-    assert old.n_keyframes == 15
-    assert not slam.backend.values.exists(copy.key)
+    assert len(slam.landmarks) == 6 and old.n_keyframes == 15 and not slam.backend.values.exists(copy.key)
     np.testing.assert_allclose(slam.trajectory.poses, before, atol=5e-3)
     np.testing.assert_allclose(slam.trajectory.poses, run_of(scene.keyframes).trajectory.poses, atol=1e-4)
 
@@ -169,5 +149,4 @@ def test_a_segmentation_that_finds_nothing_leaves_the_map_empty():
         return Labelled(found.points, found.covariance, np.full_like(found.labels, -1), found.views, found.poses)
 
     run = run_slam(mission.log, mission.rig, SlamConfig(), slam=PlaneSlam(segment=nothing))
-    assert len(run.slam.landmarks) == 0
-    assert len(run_slam(mission.log, mission.rig, SlamConfig()).slam.landmarks) > 0
+    assert len(run.slam.landmarks) == 0 and len(run_slam(mission.log, mission.rig, SlamConfig()).slam.landmarks) > 0

@@ -80,8 +80,7 @@ def test_the_rig_states_another_noise_than_the_ranges_have(kind, factor):
 def test_a_rig_with_its_laser_backwards_puts_the_points_behind():
     right, wrong = (make_drive(Recipe.parse(f"office/level/good/{kind}"), 0) for kind in ("none", "backwards"))
     mounts = [drive.rig.sensors["horizontal"].body_T_sensor for drive in (right, wrong)]
-    assert np.array_equal(mounts[0][:3, 3], mounts[1][:3, 3])
-    assert mounts[1][0, 0] == pytest.approx(-mounts[0][0, 0])
+    assert np.array_equal(mounts[0][:3, 3], mounts[1][:3, 3]) and mounts[1][0, 0] == pytest.approx(-mounts[0][0, 0])
     assert mounts[1][2, 2] == pytest.approx(mounts[0][2, 2])
     assert np.array_equal(right.log.scans()[5].ranges, wrong.log.scans()[5].ranges, equal_nan=True)
 

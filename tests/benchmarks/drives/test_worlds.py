@@ -52,8 +52,7 @@ def test_a_ramp_leads_from_one_floor_to_the_one_above():
     scene = WORLDS["ramp"](np.random.default_rng(0))
     assert not scene.course.level
     poses = scene.course.poses_at(np.linspace(0.0, scene.course.length_m, 2000))
-    assert poses[0, 2, 3] == pytest.approx(0.0, abs=1e-9)
-    assert 2.8 < poses[-1, 2, 3] < 3.3
+    assert poses[0, 2, 3] == pytest.approx(0.0, abs=1e-9) and 2.8 < poses[-1, 2, 3] < 3.3
     assert np.abs(np.diff(poses[:, 2, 3])).max() < 0.01  # no steps
     turns = poses[:, :3, :3]
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (2000, 1, 1)), atol=1e-12)
@@ -83,8 +82,7 @@ def test_a_polygon_with_a_hole_is_a_rectangle_with_that_hole():
     origins, normals = np.tile((0.0, 0.4, 1.5), (41, 1)), tilt.reshape(-1, 3, 3)[:, :, 2]
     by_polygon, by_rectangle = (one.build().cast(origins, rays, normals) for one in (polygon, rectangle))
     np.testing.assert_allclose(by_polygon[0], by_rectangle[0])
-    assert np.array_equal(by_polygon[1], by_rectangle[1])
-    assert 0.1 < np.isinf(by_polygon[0]).mean() < 0.9
+    assert np.array_equal(by_polygon[1], by_rectangle[1]) and 0.1 < np.isinf(by_polygon[0]).mean() < 0.9
 
 
 def test_glass_stops_a_beam_and_sends_nothing_back():
@@ -92,8 +90,7 @@ def test_glass_stops_a_beam_and_sends_nothing_back():
     builder.add_patch((3.0, -9.0, -9.0), (0, 18, 0), (0, 0, 18), toward=(0, 0, 0))
     builder.add_polygon([[(2, -1, 0), (2, 3, 0), (2, 3, 3), (2, -1, 3)]], toward=(0, 0, 0), glass=True)
     world = builder.build()
-    assert cast_one(world, (0, 0, 1), (1, 0, 0)) == (np.inf, -1)
-    assert cast_one(world, (0, 0, -1), (1, 0, 0)) == (3.0, 0)
+    assert cast_one(world, (0, 0, 1), (1, 0, 0)) == (np.inf, -1) and cast_one(world, (0, 0, -1), (1, 0, 0)) == (3.0, 0)
     assert len(world.planes) == 1
 
 
@@ -102,5 +99,4 @@ def test_patches_of_a_wall_that_lie_apart_are_one_plane_with_the_hull_for_outlin
     wall = builder.add_polygon([[(0, 2, 0), (1, 2, 0), (1, 2, 2), (0, 2, 2)]], toward=(0, 0, 0))
     builder.add_polygon([[(3, 2, 0), (4, 2, 0), (4, 2, 2), (3, 2, 2)]], toward=(0, 0, 0), plane=wall)
     (plane,) = builder.build().planes
-    assert plane.outline.area == pytest.approx(8.0)
-    assert plane.normal @ (0, -1, 0) == pytest.approx(1.0)
+    assert plane.outline.area == pytest.approx(8.0) and plane.normal @ (0, -1, 0) == pytest.approx(1.0)

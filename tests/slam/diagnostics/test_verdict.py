@@ -22,8 +22,8 @@ def test_a_run_that_nothing_speaks_against_is_sound():
 
 
 def test_kinds_share_the_significance():
-    assert weigh([found(0.9 * SIGNIFICANCE / 3)], 3).verdict == "doubtful"
-    assert weigh([found(1.1 * SIGNIFICANCE / 3)], 3).verdict == "sound"
+    for share, verdict in ((0.9, "doubtful"), (1.1, "sound")):
+        assert weigh([found(share * SIGNIFICANCE / 3)], 3).verdict == verdict
 
 
 def test_as_many_sound_runs_are_doubted_as_is_said():
@@ -35,17 +35,12 @@ def test_as_many_sound_runs_are_doubted_as_is_said():
 def test_what_is_broken_comes_first_and_names_its_keyframes():
     verdict = weigh([found(1e-9), found(1e-4, "broken", "mount"), found(0.5, "broken")], 2)
     assert (verdict.verdict, [one.kind for one in verdict.evidence]) == ("broken", ["mount", "free space"])
-    assert verdict.line == "the map is broken: mount 0.0001; free space 1e-09"
-    assert verdict.keyframes == [4, 5]
+    assert verdict.line == "the map is broken: mount 0.0001; free space 1e-09" and verdict.keyframes == [4, 5]
 
 
 @pytest.mark.parametrize(
     ("keyframes", "words"),
-    [
-        ([3], "keyframe 3"),
-        ([3, 4, 5, 9], "keyframes 3 to 5, 9"),
-        ([9, 1, 3, 5, 7], "keyframes 1, 3, 5 and 2 more"),
-    ],
+    [([3], "keyframe 3"), ([3, 4, 5, 9], "keyframes 3 to 5, 9"), ([9, 1, 3, 5, 7], "keyframes 1, 3, 5 and 2 more")],
 )
 def test_neighbouring_keyframes_are_named_together(keyframes: list[int], words: str):
     assert named(keyframes) == words

@@ -90,23 +90,19 @@ def test_a_mission_that_was_left_broken_is_mapped_again(logs: list[Path], tmp_pa
     record.write_bytes(good[: len(good) // 2])
     again = map_log(order_of(logs[0], tmp_path))
     assert again.mission is not None and done.mission is not None
-    assert numbers_of(again.mission) == numbers_of(done.mission)
-    assert record.read_bytes() == good
+    assert numbers_of(again.mission) == numbers_of(done.mission) and record.read_bytes() == good
 
 
 def test_a_fleet_is_the_same_on_one_worker_and_on_two_of_which_one_is_killed(
     logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     """Bit for bit; and a log that no reader takes is named and left out."""
-    broken = tmp_path / "broken.clf"
+    broken, rig = tmp_path / "broken.clf", logs[0].parent / "rig.yaml"
     broken.write_text("nothing of a log\n", encoding="utf-8")
-    rig = logs[0].parent / "rig.yaml"
     code, _, told = run(capsys, "fleet", *logs[:2], broken, "--rig", rig, "--workers", 1, "--out", tmp_path / "one")
-    assert code == 0, told
-    assert "warning: broken: left out: " in told
+    assert code == 0 and "warning: broken: left out: " in told, told
     joins = json.loads((tmp_path / "one" / "joins.json").read_text(encoding="utf-8"))
-    assert joins["components"][0]["missions"] == ["visit0", "visit1"]
-    assert sorted(joins["runs"]) == ["visit0", "visit1"]
+    assert joins["components"][0]["missions"] == sorted(joins["runs"]) == ["visit0", "visit1"]
 
     from slam.fleet import run as run_fleet
     from slam.output.joined_folder import write_joined
@@ -119,9 +115,8 @@ def test_a_fleet_is_the_same_on_one_worker_and_on_two_of_which_one_is_killed(
 
         def kill(what: str, done: int, total: int) -> None:
             if what == "missions" and not killed:
-                victim = cluster.workers[sorted(cluster.workers)[done % 2]].pid
-                killed.append(victim)
-                os.kill(victim, signal.SIGKILL)
+                killed.append(cluster.workers[sorted(cluster.workers)[done % 2]].pid)
+                os.kill(killed[0], signal.SIGKILL)
 
         store = tmp_path / "two.missions"
         joined = run_fleet([*logs[:2], broken], store, client=client, rig=Rig.from_yaml(rig), progress=kill)

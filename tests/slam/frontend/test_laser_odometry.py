@@ -140,8 +140,7 @@ def test_what_fits_elsewhere_as_well_leaves_the_wheels_in_doubt_too():
         patch.setattr(tracker, "match_scan", lambda *given: unlike)
         lost = odometry.add(300_000_000, surface, np.zeros(3))
     for one in (step, lost):
-        assert one.wheels[0, 0] > 0.5 and one.wheels[1, 1] < 0.01
-        assert one.returns[0, 0] < 2.1
+        assert one.wheels[0, 0] > 0.5 and one.wheels[1, 1] < 0.01 and one.returns[0, 0] < 2.1
     assert np.array_equal(lost.pose, step.pose)  # what does not fit moves nothing
 
 
@@ -183,10 +182,8 @@ def test_what_stands_free_in_a_fan_and_in_a_whole_circle():
         assert set(things[person == 1.5].tolist()) == {0} and np.all(things[person != 1.5] == -1)
     fan = circle[180:540]
     cut = np.where(fan < fan[0] + 0.1, 1.5, room[180:540])
-    assert np.array_equal(things_of(cut, fan) == 0, cut == 1.5)
-    assert np.all(things_of(room[180:540], fan) == -1)
-    assert np.all(things_of(np.ones(2), fan[:2]) == -1)
-    assert len(free_standing(np.empty((0, 2)), 0.01)) == 0
+    assert np.array_equal(things_of(cut, fan) == 0, cut == 1.5) and np.all(things_of(room[180:540], fan) == -1)
+    assert np.all(things_of(np.ones(2), fan[:2]) == -1) and len(free_standing(np.empty((0, 2)), 0.01)) == 0
 
 
 def corridor(rng: np.random.Generator) -> Surface:
@@ -216,8 +213,7 @@ def test_odometry_that_stands_still_is_not_believed():
     moving = truth.log.odometry[: len(truth.log.odometry) // 3]
     still = [replace(one, odom_T_body=moving[-1].odom_T_body) for one in truth.log.odometry[len(moving) :]]
     log = replace(truth.log, events=sorted([*moving, *still, *truth.log.scans()], key=lambda event: event.stamp_ns))
-    assert end_error_m(track_of(log), truth) < 0.05
-    assert len(list(keyframes_of(log, stated(log), SlamConfig()))) > 15
+    assert end_error_m(track_of(log), truth) < 0.05 and len(list(keyframes_of(log, stated(log), SlamConfig()))) > 15
 
 
 def scan_in(pose: tuple[float, float, float], seed: int = 0) -> Surface:

@@ -63,8 +63,7 @@ def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_n
         untold.append(fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1], shared_error=False).mahalanobis(TRUTH))
         found.append(fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1]).mahalanobis(TRUTH))
     assert_mean_in_band(np.array(told), 3)
-    assert np.mean(untold) > 30.0
-    assert 0.5 < np.mean(found) < 3.6  # waves longer than a patch are granted, and not there
+    assert np.mean(untold) > 30.0 and 0.5 < np.mean(found) < 3.6  # waves longer than a patch are granted, and not there
 
 
 def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
@@ -75,8 +74,7 @@ def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
         false_alarms += InPatches(fit_plane(points, sigma=SIGMA), points, isotropic(points), RULES).has_step
         points[points[:, 1] > 0.9, 2] += 0.02
         found += InPatches(fit_plane(points, sigma=SIGMA), points, isotropic(points), RULES).has_step
-    assert false_alarms <= 2
-    assert found >= 198
+    assert false_alarms <= 2 and found >= 198
 
 
 def test_a_floor_with_a_foot_on_it_is_the_floor_without_the_foot():
@@ -132,8 +130,7 @@ def test_a_slow_drift_of_the_sensor_is_no_step():
 def test_chi2_far_beyond_the_noise_and_planes_seen_edge_on_are_refused():
     points = patch(np.random.default_rng(5))
     plane = fit_plane(points, sigma=SIGMA, viewpoint=[0.0, 0.0, 2.0])
-    assert fits_its_noise(plane, RULES)
-    assert not fits_its_noise(fit_plane(points, sigma=0.7 * SIGMA), RULES)
+    assert fits_its_noise(plane, RULES) and not fits_its_noise(fit_plane(points, sigma=0.7 * SIGMA), RULES)
     assert could_be_seen(plane, np.array([0.5, 0.5, 2.0]), RULES)
     assert not could_be_seen(plane, np.array([9.0, 0.5, 0.05]), RULES)
     assert is_one_plane(plane, points, isotropic(points), np.array([0.5, 0.5, 2.0]), RULES)
@@ -212,8 +209,7 @@ def test_ranges_outside_the_limits_are_no_returns():
     ranges, lost = np.array([0.4, 0.6, 19.0, 20.0, np.nan, np.inf]), [True, False, False, True, True, True]
     np.testing.assert_array_equal(np.isnan(usable_ranges(ranges, limited)), lost)
     points = usable_points(np.array([[0.3, 0.0, 0.0], [3.0, 0.0, 0.0]]), limited)
-    assert np.isnan(points[0]).all()
-    assert np.isfinite(points[1]).all()
+    assert np.isnan(points[0]).all() and np.isfinite(points[1]).all()
 
 
 @pytest.mark.parametrize(("apart_m", "cell_m"), [(0.02, 0.05), (0.16, 0.08), (3.0, 0.1)])
@@ -296,8 +292,7 @@ def test_what_runs_round_a_blunt_corner_is_the_walls_on_either_side(corner_deg: 
         fit = fit_plane(points, sigma=SIGMA, viewpoint=eye, shared_error=False)
         whole.append(min(fit.mahalanobis(one) for one in walls))
         nees += [min(one.plane.mahalanobis(other) for other in walls) for one in sides]
-    assert len(whole) >= 20
-    assert np.mean(whole) > 30.0
+    assert len(whole) >= 20 and np.mean(whole) > 30.0
     assert_mean_in_band(np.array(nees), 3, 0.999)
 
 

@@ -26,8 +26,7 @@ def test_plane_of_a_line_is_square_to_the_scan_plane_and_faces_the_sensor():
     np.testing.assert_allclose(plane.normal @ MOUNT[:3, 2], 0.0, atol=1e-12)
     assert plane.distance(MOUNT[:3, 3]) > 0.0
     np.testing.assert_allclose(plane.distance(seen.vertices), 0.0, atol=1e-12)
-    assert plane.covariance[2, 2] == 0.02**2
-    assert np.linalg.det(plane.frame[:3, :3]) > 0.0
+    assert plane.covariance[2, 2] == 0.02**2 and np.linalg.det(plane.frame[:3, :3]) > 0.0
 
 
 def test_covariance_of_the_plane_is_that_of_the_sampled_line():
@@ -66,8 +65,7 @@ def test_outlines_grow_by_union_and_come_apart_again():
     shifted = PlaneObservation(wall.transform(six_metres_on))
     outline, further = (seen.patch_in(inverse(wall.frame)) for seen in (PlaneObservation(wall), shifted))
     both = grow(outline, further)
-    assert abs(both.area - (24.0 + 6.0 * 3.0)) < 1e-9
-    assert largest_polygon(both) is not None
+    assert abs(both.area - (24.0 + 6.0 * 3.0)) < 1e-9 and largest_polygon(both) is not None
     mixed = grow(both, LineObservation(line(0.0, 2.0, np.eye(2)), np.eye(4)).patch_in(np.eye(4)))
     assert len(polygons_of(mixed)) == 1 and len(segments_of(mixed)) <= 1
     np.testing.assert_allclose(lift(np.zeros((1, 2)), MOUNT), [MOUNT[:3, 3]])
@@ -88,5 +86,4 @@ def test_a_wall_that_is_not_straight_shares_its_error_by_patches():
 def test_a_wall_without_error_of_its_own_is_the_line_as_it_is():
     """And so is one of fewer points than patches: each is off by itself, which its covariance says already."""
     seen = LineObservation(line(0.7, 2.0, np.diag([1e-6, 1e-6])), MOUNT)
-    assert seen.on_uneven_wall(0.0, 0.3) is seen
-    assert seen.on_uneven_wall(0.01, 0.01) is seen
+    assert seen.on_uneven_wall(0.0, 0.3) is seen and seen.on_uneven_wall(0.01, 0.01) is seen

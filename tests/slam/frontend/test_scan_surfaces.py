@@ -26,16 +26,14 @@ def test_elements_on_planes_lie_on_floor_top_and_side() -> None:
     assert len(points) > 300
     heights = np.where(normals[:, 2] > 0.9, np.minimum(abs(points[:, 2]), abs(points[:, 2] - HIGH[2])), 0.0)
     fronts = np.where(normals[:, 0] < -0.9, abs(points[:, 0] - LOW[0]), 0.0)
-    assert ((normals[:, 2] > 0.99) | (normals[:, 0] < -0.99)).all()
-    assert max(heights.max(), fronts.max()) < 0.004
+    assert ((normals[:, 2] > 0.99) | (normals[:, 0] < -0.99)).all() and max(heights.max(), fronts.max()) < 0.004
 
 
 def test_edges_of_the_box_are_found_where_they_are_and_the_border_of_the_image_is_none() -> None:
     points, across = elements_seen(ON_EDGE, POSE, 1)
     upright, level = abs(across[:, 2]) < 0.3, abs(across[:, 1]) < 0.3
     assert (abs(abs(points[upright & ~level, 1]) - HIGH[1]) < 0.05).all()  # the sides, to two beams and a bit
-    assert (upright & ~level).sum() > 8
-    assert (points[:, 2] > -0.01).all() and (points[:, 2] < HIGH[2] + 0.02).all()
+    assert (upright & ~level).sum() > 8 and (points[:, 2] > -0.01).all() and (points[:, 2] < HIGH[2] + 0.02).all()
     assert (abs(points[:, 1]) < HIGH[1] + 0.02).all()  # none where the floor leaves the picture
 
 

@@ -26,8 +26,7 @@ def grown(patches: list[shapely.Polygon]) -> Extent:
 
 def test_the_whole_is_the_union_to_the_tolerance_of_outlines():
     patches = scattered(0)
-    extent = grown(patches)
-    union = shapely.union_all(patches)
+    extent, union = grown(patches), shapely.union_all(patches)
     assert extent.geometry.symmetric_difference(union).area < 0.005 * union.area
     assert shapely.hausdorff_distance(extent.geometry, union) < 0.05
     np.testing.assert_allclose(extent.bounds, union.bounds)
@@ -45,10 +44,8 @@ def test_to_look_at_a_region_changes_nothing_of_it():
 
 
 def test_near_is_what_is_near_the_union():
-    patches = scattered(1, 12)
-    extent = grown(patches)
-    union = shapely.union_all(patches)
-    answers = []
+    patches, answers = scattered(1, 12), []
+    extent, union = grown(patches), shapely.union_all(patches)
     for probe in (shapely.affinity.translate(one, 0.0, 17.0) for one in scattered(2, 80)):
         distance = union.distance(probe)
         assert extent.is_within(distance + 0.02, probe)
@@ -69,8 +66,7 @@ def test_lines_of_one_wall_stay_one_segment():
 def test_a_line_and_a_patch_are_kept_both():
     extent = Extent(LineString([(0.0, 0.5), (7.0, 0.5)]))
     extent.grow(box(1.0, 0.0, 3.0, 1.0))
-    area = sum(part.area for part in shapely.get_parts(extent.geometry))
-    assert abs(area - 2.0) < 1e-9
+    assert abs(sum(part.area for part in shapely.get_parts(extent.geometry)) - 2.0) < 1e-9
     assert extent.is_within(0.1, Point(6.5, 0.5))
     np.testing.assert_allclose(extent.bounds, (0.0, 0.0, 7.0, 1.0))
 
@@ -103,21 +99,19 @@ def test_an_outline_measured_keeps_the_corners_its_size_needs(radius: float, all
     wavy = radius * (1.0 + 0.005 * np.sin(150.0 * angles))
     outline = shapely.Polygon(np.stack((wavy * np.cos(angles), wavy * np.sin(angles)), axis=1))
     [few] = coarse([outline])
-    assert shapely.get_num_coordinates(few) < 60
-    assert shapely.hausdorff_distance(few, outline) <= allowed
+    assert shapely.get_num_coordinates(few) < 60 and shapely.hausdorff_distance(few, outline) <= allowed
     assert abs(few.area / outline.area - 1.0) < 0.02
 
 
 def test_outlines_that_grow_together_grow_as_alone():
-    outlines = [*scattered(3, 30), LineString([(0, 0), (1, 0)])]
+    outlines, names = [*scattered(3, 30), LineString([(0, 0), (1, 0)])], "abcdefghijklmnopqrstuvwxyzABCDE"
     bow_tie = shapely.Polygon([(0, 0), (2, 2), (2, 0), (0, 2)])
     patches = [*(box(*one.buffer(0.3).bounds) for one in outlines[:-2]), bow_tie, LineString([(0.5, 0), (3, 0.1)])]
     outlines[0] = outlines[0].buffer(5.0)  # covers its patch
-    grown = grow_all(all_valid(outlines), patches, list("abcdefghijklmnopqrstuvwxyzABCDE"))
-    assert list(grown)[:2] == ["b", "c"]
-    assert len(grown) == 30
+    grown = grow_all(all_valid(outlines), patches, list(names))
+    assert list(grown)[:2] == ["b", "c"] and len(grown) == 30
     for name, one in grown.items():
-        k = "abcdefghijklmnopqrstuvwxyzABCDE".index(name)
+        k = names.index(name)
         assert one.equals_exact(grow(outlines[k], patches[k]), 0.0)
 
 
@@ -128,5 +122,4 @@ def test_a_corner_that_pokes_into_a_tile_by_less_than_a_rounding_is_taken_in():
     patch = shapely.Polygon(corners)
     with pytest.raises(shapely.errors.GEOSException):
         shapely.clip_by_rect(patch, -2.05, -20.0, 0.05, 20.0)
-    extent = Extent(patch)
-    assert extent.geometry.symmetric_difference(patch).area < 1e-6
+    assert Extent(patch).geometry.symmetric_difference(patch).area < 1e-6

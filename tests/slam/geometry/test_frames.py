@@ -41,9 +41,8 @@ def test_a_position_that_is_nowhere_is_told():
 def blob(rng: np.random.Generator) -> BaseGeometry:
     """A star of some corners, now and then with a hole, or of two parts."""
     turns = np.sort(rng.uniform(0.0, 2.0 * np.pi, int(rng.integers(3, 12))))
-    star: BaseGeometry = shapely.Polygon(
-        np.column_stack((np.cos(turns), np.sin(turns))) * rng.uniform(0.4, 1.5, (len(turns), 1))
-    )
+    corners = np.column_stack((np.cos(turns), np.sin(turns))) * rng.uniform(0.4, 1.5, (len(turns), 1))
+    star: BaseGeometry = shapely.Polygon(corners)
     star = star if star.is_valid else star.buffer(0.0)
     kind = rng.integers(4)
     if kind == 0:
@@ -69,17 +68,13 @@ def test_polygons_come_near_where_their_distance_says_so() -> None:
             assert found == (distance <= gap)
         near += found
         inside += one.contains(other)
-    assert 500 < near < 2500
-    assert inside > 10
+    assert 500 < near < 2500 and inside > 10
 
 
 def test_a_polygon_in_the_hole_of_another_is_away_from_it() -> None:
     ring = shapely.box(-4, -4, 4, 4).difference(shapely.box(-3, -3, 3, 3))
     rings = Rings.of_all([ring, shapely.box(-1, -1, 1, 1), None, shapely.Polygon()])
-    assert rings.of.tolist() == [0, 2, 3, 3, 3]
-    assert rings.ends.tolist() == [0, 5, 10, 15]
+    assert rings.of.tolist() == [0, 2, 3, 3, 3] and rings.ends.tolist() == [0, 5, 10, 15]
     parts = rings.corners[:10], rings.ends[:3], rings.corners[10:], rings.ends[2:] - 10
-    assert not come_near(*parts, 1.9)
-    assert come_near(*parts, 2.0)
-    nothing = np.empty((0, 2)), np.zeros(1, dtype=np.int64)
-    assert not come_near(*parts[:2], *nothing, 5.0)
+    assert not come_near(*parts, 1.9) and come_near(*parts, 2.0)
+    assert not come_near(*parts[:2], np.empty((0, 2)), np.zeros(1, dtype=np.int64), 5.0)

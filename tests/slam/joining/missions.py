@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.corpus.drives import Recipe, make_drive
 from benchmarks.corpus.drives.drive import Drive as OfficeDrive
-from slam import SlamConfig
+from slam import Keyframe, SlamConfig
 from slam.geometry.frames import planar_transform
 from slam.joining import FinishedMission
 from slam.output.run_files import write_run
@@ -32,25 +32,22 @@ def scene(seed: int) -> Drive:
 @cache
 def first(seed: int) -> FinishedMission:
     """A mission in the frame of the room."""
-    return mission("first", scene(seed))
+    return FinishedMission.of("first", run_of(scene(seed).keyframes))
 
 
 @cache
 def second(seed: int) -> FinishedMission:
     """Another one, in a frame of its own: where it is in the room's is `room_T_second`."""
-    frames = scene(1000 + seed).keyframes
-    elsewhere = Drive([replace(frames[0], world_T_body_guess=ELSEWHERE), *frames[1:]], scene(1000 + seed).world_T_body)
-    return mission("second", elsewhere)
+    return second_of(scene(1000 + seed).keyframes)
+
+
+def second_of(frames: list[Keyframe]) -> FinishedMission:
+    return FinishedMission.of("second", run_of([replace(frames[0], world_T_body_guess=ELSEWHERE), *frames[1:]]))
 
 
 def room_T_second(seed: int) -> np.ndarray:
     """The truth."""
     return scene(1000 + seed).world_T_body[0] @ np.linalg.inv(ELSEWHERE)
-
-
-def mission(name: str, given: Drive) -> FinishedMission:
-    slam = run_of(given.keyframes)
-    return FinishedMission.of(name, slam)
 
 
 LEVEL = Recipe.parse("office/level")

@@ -70,12 +70,8 @@ def test_estimates_are_those_of_one_batch_of_all_factors():
                 np.testing.assert_allclose(gtsam.Pose3.Logmap(apart), np.zeros(6), atol=1e-6)
         for landmark in range(6):
             keys = component.solution.keys(Place(0, landmark))
-            mine = component.solution.values[0].atOrientedPlane3(one_key(component, landmark))
+            mine = component.solution.values[0].atOrientedPlane3(component.missions[0].graph.planes[landmark][1])
             np.testing.assert_allclose(values.atOrientedPlane3(keys.plane).errorVector(mine), np.zeros(3), atol=1e-6)
-
-
-def one_key(component: JoinedComponent, landmark: int) -> int:
-    return component.missions[0].graph.planes[landmark][1]
 
 
 def test_covariances_are_those_of_one_batch_of_all_factors():
@@ -83,16 +79,16 @@ def test_covariances_are_those_of_one_batch_of_all_factors():
     component = solved(0)
     graph, values = batch(component)
     marginals = gtsam.Marginals(graph, values)
+    found = []
     for one, (place, _) in zip(component.planes, component.classes, strict=True):
         keys = component.solution.keys(place)
         other = world_plane(values, marginals, keys.plane, anchor_key=keys.anchor, shape_of=one.plane)
-        expected = other.transform(np.eye(4)).covariance
-        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-        np.testing.assert_allclose(one.plane.covariance / scale, expected / scale, atol=1e-4)
+        found.append((one.plane.covariance, other.transform(np.eye(4)).covariance))
     last = component.missions[1].graph.carriers[-1]
-    expected = marginals.marginalCovariance(joint_key(1, last))
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(component.pose_covariance(1, 14) / scale, expected / scale, atol=1e-4)
+    found.append((component.pose_covariance(1, 14), marginals.marginalCovariance(joint_key(1, last))))
+    for ours, expected in found:
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        np.testing.assert_allclose(ours / scale, expected / scale, atol=1e-4)
 
 
 def test_a_condensed_mission_is_the_marginal_of_the_whole():
@@ -104,12 +100,11 @@ def test_a_condensed_mission_is_the_marginal_of_the_whole():
     values = graph.values.retract(shaken)
     keep = sorted({key for pair in graph.planes.values() for key in pair})
     whole = graph.factors.linearize(values)
-    condensed = condense(whole, keep)
-    marginals = gtsam.Marginals(whole, whole.optimize())
+    condensed, every = condense(whole, keep), whole.optimize()
+    marginals = gtsam.Marginals(whole, every)
     root = condensed.shared.root
     expected = marginals.jointMarginalInformation(list(condensed.shared.keys)).fullMatrix()
     np.testing.assert_allclose(root.T @ root, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    every = whole.optimize()
     shared = gtsam.VectorValues()
     for key in keep:
         shared.insert(key, every.at(key))
@@ -123,10 +118,9 @@ FIRST, SECOND = TiedKeys(1, 2, 3), TiedKeys(4, 5, 6)
 
 def values_of(seed: int, off: np.ndarray) -> gtsam.Values:
     """Two missions that see one plane, which the second has a little off."""
-    rng = np.random.default_rng(seed)
+    rng, values = np.random.default_rng(seed), gtsam.Values()
     poses = [gtsam.Pose3.Expmap(rng.normal(size=6) * (0.6, 0.6, 0.6, 3.0, 3.0, 3.0)) for _ in range(4)]
     plane = gtsam.OrientedPlane3(np.append(rng.normal(size=3), rng.normal()))
-    values = gtsam.Values()
     for side, (base, anchor) in zip((FIRST, SECOND), (poses[:2], poses[2:]), strict=True):
         values.insert(side.base, base)
         values.insert(side.anchor, anchor)

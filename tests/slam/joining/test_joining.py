@@ -17,8 +17,8 @@ from slam.joining.overlap import compare_missions
 from slam.joining.solution import base_key
 from slam.map.map_planes import MapPlane
 from spplanes import Plane
-from tests.slam.joining.missions import ELSEWHERE, first, mission, room_T_second, scene, second
-from tests.slam.scenes import Drive, drive, planar_nees, room_planes
+from tests.slam.joining.missions import first, room_T_second, scene, second, second_of
+from tests.slam.scenes import drive, planar_nees, room_planes
 from tests.statistics import assert_mean_in_band
 
 #: Pairs of missions: of 3 dof twice or half a covariance is off the band in 84 and 71 of 100, of 12 dof always.
@@ -48,8 +48,7 @@ def test_joined_planes_poses_and_frames_are_honest():
     planes, frames, poses = [], [], []
     for seed in range(RUNS):
         component = joined(seed).components[0]
-        assert component.names == ("first", "second")
-        assert sorted(len(places) for places in component.classes) == [2] * 6
+        assert component.names == ("first", "second") and sorted(len(places) for places in component.classes) == [2] * 6
         planes.append(np.mean([one.plane.mahalanobis(truth_of(one.plane)) for one in component.planes]))
         told = component.solution.posterior(1)
         spread = told._marginal([base_key(1)]).covariance([base_key(1)])
@@ -62,17 +61,15 @@ def test_joined_planes_poses_and_frames_are_honest():
 
 def test_a_room_that_looks_the_same_from_both_ends_is_not_joined_without_a_guess():
     found = join([first(0), second(0)])
-    assert [one.names for one in found.components] == [("first",), ("second",)]
+    assert [one.names for one in found.components] == [("first",), ("second",)] and found.alone == ["first", "second"]
     assert found.comparisons[0].verdict in ("ambiguous", "unobservable", "not seen")
-    assert found.alone == ["first", "second"]
 
 
 def test_a_guess_that_is_wrong_joins_nothing():
     """By 2 m along the room, four standard deviations."""
     far = room_T_second(0) @ planar_transform(2.0, 0.0, 0.0)
     found = join([first(0), second(0)], guesses={("first", "second"): far})
-    assert found.comparisons[0].verdict in ("refused", "not seen")
-    assert len(found.components) == 2
+    assert found.comparisons[0].verdict in ("refused", "not seen") and len(found.components) == 2
 
 
 def test_a_guess_may_be_given_the_other_way_round():
@@ -82,30 +79,24 @@ def test_a_guess_may_be_given_the_other_way_round():
 
 def test_what_has_moved_between_the_missions_is_kept_apart_and_told():
     """The second mission sees the wall at x = 4 nearer by 0.15 m: some forty standard deviations."""
-    frames = drive(1000).keyframes
     shifted = []
-    for keyframe, pose in zip(frames, scene(1000).world_T_body, strict=True):
+    for keyframe, pose in zip(drive(1000).keyframes, scene(1000).world_T_body, strict=True):
         seen = list(keyframe.observations)
         assert isinstance(seen[3], PlaneObservation)
-        plane = seen[3].plane
-        frame = plane.frame.copy()
+        plane, frame = seen[3].plane, seen[3].plane.frame.copy()
         frame[:3, 3] += 0.15 * frame[:3, 2]
         seen[3] = PlaneObservation(Plane(frame, plane.covariance, plane.n_points, plane.outline))
         shifted.append(replace(keyframe, observations=seen))
         assert np.allclose(pose[:3, :3] @ frame[:3, 2], [-1, 0, 0], atol=0.1)
-    other = mission(
-        "second", Drive([replace(shifted[0], world_T_body_guess=ELSEWHERE), *shifted[1:]], scene(1000).world_T_body)
-    )
+    other = second_of(shifted)
     found = join([first(0), other], guesses={("first", "second"): about(0)})
     one, component = found.comparisons[0], found.components[0]
     assert one.verdict == "joined"
-    told = [
-        (a.plane.normal, b.plane.normal) for a, b in ((plane_of(first(0), i), plane_of(other, j)) for i, j in one.moved)
-    ]
-    assert len(told) == 1
-    np.testing.assert_allclose(np.abs(told[0][0]), [1, 0, 0], atol=0.01)  # of two walls across x either may have moved
+    [(i, j)] = one.moved
+    mine, _ = plane_of(first(0), i).plane.normal, plane_of(other, j)
+    np.testing.assert_allclose(np.abs(mine), [1, 0, 0], atol=0.01)  # of two walls across x either may have moved
     assert sorted(len(places) for places in component.classes) == [1, 1, 2, 2, 2, 2, 2]
-    apart = [p.plane.d for p in component.planes if p.plane.normal @ told[0][0] > 0.9]
+    apart = [p.plane.d for p in component.planes if p.plane.normal @ mine > 0.9]
     np.testing.assert_allclose(max(apart) - min(apart), 0.15, atol=0.02)
 
 

@@ -32,13 +32,10 @@ def test_visits_of_one_building_are_joined_with_no_common_start():
         found = join([office(seed, number) for number in range(3)])
         component = found.components[0]
         assert len(component.names) == 3, [one.to_dict()["reason"] for one in found.comparisons]
-        for one in found.comparisons:
-            if one.verdict != "joined" or one.alignment is None:
-                continue
+        for one in (one for one in found.comparisons if one.verdict == "joined" and one.alignment is not None):
             a, b = int(one.first[-1]), int(one.second[-1])
             truth = inverse(building_T(seed, a)) @ building_T(seed, b)
-            nees = planar_nees(one.alignment.covariance, truth, one.alignment.a_T_b)
-            assert nees < 21.1  # chi2, 3 dof, 1e-4
+            assert planar_nees(one.alignment.covariance, truth, one.alignment.a_T_b) < 21.1  # chi2, 3 dof, 1e-4
 
 
 def test_different_buildings_are_not_joined():
@@ -60,8 +57,7 @@ def test_free_space_speaks_against_another_place():
 
 def test_an_alignment_is_where_its_chi2_is_least():
     """The gradient of chi2 by the motion vanishes there, by central differences."""
-    a, b = first(0).mission, second(0).mission
-    truth = room_T_second(0)
+    a, b, truth = first(0).mission, second(0).mission, room_T_second(0)
     pairs = [
         (i, j)
         for i, mine in enumerate(a.planes)
@@ -93,8 +89,7 @@ def test_an_overlap_that_contradicts_a_loop_is_taken_back():
     step = planar_transform(2.0, 1.0, 0.3)
     ring = [link("a", "b", step, 30.0), link("b", "c", step, 20.0), link("a", "c", step @ step, 10.0)]
     assert [one.verdict for one in consistent(ring, 1e-6)] == ["joined"] * 3
-    wrong = [*ring[:2], link("a", "c", step @ step @ planar_transform(1.0, 0.0, 0.0), 10.0)]
-    told = consistent(wrong, 1e-6)
+    told = consistent([*ring[:2], link("a", "c", step @ step @ planar_transform(1.0, 0.0, 0.0), 10.0)], 1e-6)
     assert [one.verdict for one in told] == ["joined", "joined", "revoked"]
     assert "contradicts the way over other missions" in told[2].reason
     (component,) = components_of(["a", "b", "c"], told)

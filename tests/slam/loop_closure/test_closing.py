@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shapely import box
 
 from factors.association.observations import PlaneObservation
 from slam import PlaneSlam
@@ -15,33 +14,21 @@ from slam.loop_closure.closing import Closure
 from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.verification import LoopDecision
 from slam.registration.submaps import PlanarPose
-from spplanes import Plane
+from tests.slam.registration.test_plane_registration import wall
 from tests.slam.scenes import SIGMAS, drive, measured, run_of
 
 COUNT, LENGTH_M = 40, 0.5
 OUT_OF_PLANE = (1e2, 1e2, 1e2)
 
 
-def wall(x: float, y: float) -> Plane:
-    """Six metres of a corridor's wall, with its normal toward y = 0."""
-    normal = np.array([0.0, -np.sign(y), 0.0])
-    frame = np.eye(4)
-    frame[:3, :3] = np.column_stack(([1.0, 0.0, 0.0], np.cross(normal, [1.0, 0.0, 0.0]), normal))
-    frame[:3, 3] = x, y, 1.0
-    return Plane(frame, np.zeros((3, 3)), 500, box(-3.0, -1.0, 3.0, 1.0))
-
-
 def corridor() -> list[Keyframe]:
     """Along two walls, a gap of 8 m, and two more: nothing but odometry tells how far."""
-    rng = np.random.default_rng(0)
-    walls = [wall(x, y) for x in (3.0, 17.0) for y in (1.0, -1.0)]
-    frames = []
-    for index in range(COUNT):
-        x = index * LENGTH_M
+    rng, frames, covariance = np.random.default_rng(0), [], np.diag((1e-4, 1e-6, 1e-7))
+    walls = [wall((x, y, 1.0), (0.0, -y, 0.0), 6.0, 2.0) for x in (3.0, 17.0) for y in (1.0, -1.0)]
+    for index, x in enumerate(LENGTH_M * np.arange(COUNT)):
         pose = planar_transform(x, 0.0, 0.0)
         near = [plane for plane in walls if abs(plane.centre[0] - x) < 3.0 and index < COUNT - 1]
         seen = [PlaneObservation(measured(plane.transform(inverse(pose)), rng, SIGMAS)) for plane in near]
-        covariance = np.diag((1e-4, 1e-6, 1e-7))
         step = np.array([LENGTH_M, 0.0, 0.0]) + np.sqrt(np.diag(covariance)) * rng.standard_normal(3)
         motion = Motion(planar_transform(*step), covariance, (1e-3, 1e-3, 1e-3)) if index else None
         frames.append(Keyframe(index * 10**9, seen, motion, pose if not index else None))
@@ -112,8 +99,7 @@ def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses()
     slam._closer.fix(closure)
     [known] = slam._closer.closed
     assert slam.loops[-1].verdict == "closed" and known.pairs == () and known.motion is not None
-    assert len(slam.landmarks) == count
-    assert slam.merges.may_be_one(*across)
+    assert len(slam.landmarks) == count and slam.merges.may_be_one(*across)
     run_of(scene.keyframes[12:], slam)
     assert known.undone is None
 
@@ -122,6 +108,5 @@ def test_what_the_graph_refuses_and_no_return_proposes_is_not_closed():
     slam = run_of(drive(3).keyframes[:12])
     loop = LoopDecision(11, 2, "closed", ((0, 1),))
     slam._closer.decisions.append(loop)
-    assert slam._closer._close([loop], 1.0) is None
-    assert slam.loops[-1].verdict == "refused"
+    assert slam._closer._close([loop], 1.0) is None and slam.loops[-1].verdict == "refused"
     assert not slam.merges.may_be_one(0, 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -54,12 +54,8 @@ def test_closures_that_contradict_each_other_do_not_agree(wrong: tuple[float, fl
 def test_motions_one_after_another_have_the_covariance_of_samples():
     rng = np.random.default_rng(2)
     first, after = planar_transform(3.0, -1.0, 2.0), planar_transform(0.5, 2.0, -0.4)
-    sampled = [
-        planar_delta(planar_transform(*one) @ planar_transform(*other))
-        for one, other in (
-            (disturbed(first, STEP, rng).delta, disturbed(after, CLOSURE, rng).delta) for _ in range(20000)
-        )
-    ]
+    draws = ((disturbed(first, STEP, rng).delta, disturbed(after, CLOSURE, rng).delta) for _ in range(20000))
+    sampled = [planar_delta(planar_transform(*one) @ planar_transform(*other)) for one, other in draws]
     together = PlanarPose(planar_delta(first), STEP) @ PlanarPose(planar_delta(after), CLOSURE)
     np.testing.assert_allclose(together.delta, planar_delta(first @ after), atol=1e-12)
     np.testing.assert_allclose(together.covariance, np.cov(np.array(sampled).T), rtol=0.06, atol=2e-5)
@@ -72,25 +68,19 @@ def test_headings_half_a_turn_apart_are_compared_round_the_circle():
 
 def test_cliques_are_all_maximal_sets_that_agree():
     rng = np.random.default_rng(3)
-    for count in (1, 2, 5, 8):
-        for density in (0.2, 0.6, 0.9):
-            upper = np.triu(rng.random((count, count)) < density, 1)
-            agreeing = upper | upper.T | np.eye(count, dtype=bool)
-            sets = [
-                set(one)
-                for size in range(1, count + 1)
-                for one in combinations(range(count), size)
-                if agreeing[np.ix_(one, one)].all()
-            ]
-            maximal = [sorted(one) for one in sets if not any(one < other for other in sets)]
-            assert maximal_cliques(agreeing) == sorted(maximal)
+    for count, density in product((1, 2, 5, 8), (0.2, 0.6, 0.9)):
+        upper = np.triu(rng.random((count, count)) < density, 1)
+        agreeing = upper | upper.T | np.eye(count, dtype=bool)
+        some = (set(one) for size in range(1, count + 1) for one in combinations(range(count), size))
+        sets = [one for one in some if agreeing[np.ix_(list(one), list(one))].all()]
+        maximal = [sorted(one) for one in sets if not any(one < other for other in sets)]
+        assert maximal_cliques(agreeing) == sorted(maximal)
 
 
 def test_what_two_closures_saw_both_counts_once():
     pose = PlanarPose(np.zeros(3), CLOSURE)
     first, again, later = (Proposal(k, 0, pose, 4.0, way) for k, way in ((10, 50.0), (11, 53.0), (12, 60.0)))
-    assert joint_log_odds([first], 6.0) == 4.0
-    assert joint_log_odds([first, again], 6.0) == pytest.approx(6.0)
+    assert joint_log_odds([first], 6.0) == 4.0 and joint_log_odds([first, again], 6.0) == pytest.approx(6.0)
     assert joint_log_odds([later, first], 6.0) == pytest.approx(8.0)
     halved, beside = (
         counted_once([first, other], 6.0, 1.0, -np.inf)[1] for other in (again, Proposal(10, 4, pose, 3.0, 50.0))

@@ -60,8 +60,7 @@ def closed(proposals: list[Proposal], held: range = range(42)) -> list[tuple[int
 
 def test_one_proposal_waits_for_another_that_agrees():
     first, second = proposal(30, 11, 5.0), proposal(34, 7, 5.0)
-    assert closed([first]) == []
-    assert closed([first, second]) == [(30, 11), (34, 7)]
+    assert closed([first]) == [] and closed([first, second]) == [(30, 11), (34, 7)]
 
 
 def test_what_was_hardly_moved_on_is_no_second_witness():
@@ -69,8 +68,7 @@ def test_what_was_hardly_moved_on_is_no_second_witness():
 
 
 def test_a_proposal_beyond_all_doubt_waits_for_none():
-    assert closed([proposal(30, 11, 13.0)]) == []
-    assert closed([proposal(30, 11, 14.0)]) == [(30, 11)]
+    assert closed([proposal(30, 11, 13.0)]) == [] and closed([proposal(30, 11, 14.0)]) == [(30, 11)]
 
 
 @pytest.mark.parametrize("wrong", [(1.0, 0.0, 0.0), (0.0, 0.0, 0.3)])
@@ -95,9 +93,7 @@ def test_a_loop_is_lost_when_what_contradicts_it_outweighs_what_closed_it():
     trial.update(-90.0, 106.0, CONFIG)  # half a window of new returns, 9 looks a witness
     assert trial.log_odds == pytest.approx(13.8 - 5.0, abs=0.02)
     trial.update(-180.0, 109.0, CONFIG)
-    assert trial.is_lost
-    assert trial.is_open(117.0, CONFIG)
-    assert not trial.is_open(119.0, CONFIG)
+    assert trial.is_lost and trial.is_open(117.0, CONFIG) and not trial.is_open(119.0, CONFIG)
 
 
 def room(x: float, deep: float, alcove: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:

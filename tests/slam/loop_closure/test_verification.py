@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -23,8 +24,7 @@ SIGMA_ALPHA, SIGMA_SHIFT, REACH = 0.003, 0.005, 7.0
 
 def hall() -> np.ndarray:
     """Ends of the walls around a square of corridors, each seen from one side, all of other lengths, (W, 2, 2)."""
-    rng = np.random.default_rng(0)
-    walls = []
+    rng, walls = np.random.default_rng(0), []
     for x, y in ((0.0, 0.0), (15.0, 0.0), (15.0, 15.0), (0.0, 15.0)):
         for direction in np.repeat(np.arange(4) * np.pi / 2, 6) + rng.uniform(-0.7, 0.7, 24):
             middle = np.array((x, y)) + rng.uniform(-4.0, 4.0, 2)
@@ -62,11 +62,9 @@ def square_tour(kick: float, side: float = 15.0) -> tuple[list[Keyframe], np.nda
     poses = np.array([planar_transform(x, y, t) for (x, y), t in zip(xy, heading, strict=True)])
     walls, noise, frames = hall(), OdometryNoise(), []
     for index, pose in enumerate(poses):
-        motion = None
-        if index:
-            delta = planar_delta(inverse(poses[index - 1]) @ pose)
-            wrong = delta + np.array((0.0, 0.0, kick / 20.0 * (50 <= index < 70)))
-            motion = Motion(planar_transform(*wrong), noise.covariance(delta), (1e-3, 1e-3, 1e-3))
+        delta = planar_delta(inverse(poses[index - 1]) @ pose)
+        wrong = delta + np.array((0.0, 0.0, kick / 20.0 * (50 <= index < 70)))
+        motion = Motion(planar_transform(*wrong), noise.covariance(delta), (1e-3, 1e-3, 1e-3)) if index else None
         seen = [] if 50 <= index < 70 else see(walls, np.array((*xy[index], heading[index])), rng)
         frames.append(Keyframe(index * 10**9, seen, motion, pose if index == 0 else None))
     return frames, poses
@@ -77,15 +75,12 @@ def test_a_drift_beyond_the_gates_is_closed_by_the_constellation():
     frames, poses = (one[:126] for one in square_tour(kick=0.2))
     slam = run_of(frames)
     closed = [decision for decision in slam.loops if decision.verdict == "closed"]
-    assert closed
-    assert all(len(decision.pairs) >= 3 and decision.evidence > 7.0 for decision in closed)
-    assert np.linalg.norm((slam.trajectory.poses - poses)[-1, :2, 3]) < 0.1
-    assert len(slam.landmarks) < 75
+    assert closed and all(len(decision.pairs) >= 3 and decision.evidence > 7.0 for decision in closed)
+    assert np.linalg.norm((slam.trajectory.poses - poses)[-1, :2, 3]) < 0.1 and len(slam.landmarks) < 75
 
 
 def test_every_comparison_is_recorded_and_a_tour_without_a_return_closes_nothing():
-    frames, _ = square_tour(kick=0.0)
-    slam = run_of(frames[:60])
+    slam = run_of(square_tour(kick=0.0)[0][:60])
     assert not [decision for decision in slam.loops if decision.verdict == "closed"]
     assert all(decision.keyframe > decision.old_keyframe for decision in slam.loops)
 
@@ -94,21 +89,26 @@ def test_pairs_that_share_a_landmark_are_joined_once():
     assert disjoint([(0, 1), (1, 2), (3, 4)]) == [(0, 1), (3, 4)]
 
 
+UNKNOWN_WHEELS = OdometryNoise(scale_sigma=0.04, curvature_sigma_rad_per_m=0.07)
+
+
+def driven(step: np.ndarray) -> Motion:
+    """A step (x, y, theta) as such wheels measure it."""
+    response = UNKNOWN_WHEELS.response([step])
+    covariance, sigmas = UNKNOWN_WHEELS.covariance(step), UNKNOWN_WHEELS.calibration_sigmas
+    return Motion(planar_transform(*step), covariance, (1e-3,) * 3, response, sigmas)
+
+
 @pytest.mark.parametrize("errors", [(0.03, -0.05), (-0.02, 0.06)])
 def test_the_wheels_errors_are_learnt_and_honestly(errors):
     """NEES of (scale, curvature) after 60 motions seen with known covariance."""
-    rng = np.random.default_rng(3)
-    noise = OdometryNoise(scale_sigma=0.04, curvature_sigma_rad_per_m=0.07)
-    calibration, seen = WheelCalibration(), np.diag((0.005, 0.005, 0.005)) ** 2
+    rng, calibration, seen = np.random.default_rng(3), WheelCalibration(), np.diag((0.005, 0.005, 0.005)) ** 2
     for _ in range(60):
         step = np.array((rng.uniform(0.2, 1.0), 0.0, rng.normal(0.0, 0.2)))
-        response = noise.response([step])
-        motion = Motion(
-            planar_transform(*step), noise.covariance(step), (1e-3,) * 3, response, noise.calibration_sigmas
-        )
+        motion = driven(step)
         predicted = calibration.predict(motion)
-        random = noise.random_covariances([step])[0] + 1e-10 * np.eye(3)
-        truth = step + response @ np.array(errors) + np.linalg.cholesky(random) @ rng.standard_normal(3)
+        random = UNKNOWN_WHEELS.random_covariances([step])[0] + 1e-10 * np.eye(3)
+        truth = step + motion.response @ np.array(errors) + np.linalg.cholesky(random) @ rng.standard_normal(3)
         measured = truth + np.linalg.cholesky(seen) @ rng.standard_normal(3)
         gain = predicted.covariance @ np.linalg.inv(predicted.covariance + seen)
         fused = planar_delta(predicted.a_T_b) + gain @ (measured - planar_delta(predicted.a_T_b))
@@ -120,12 +120,7 @@ def test_the_wheels_errors_are_learnt_and_honestly(errors):
 
 
 def test_nothing_seen_teaches_nothing():
-    noise = OdometryNoise(scale_sigma=0.04, curvature_sigma_rad_per_m=0.07)
-    step = np.array((1.0, 0.0, 0.1))
-    motion = Motion(
-        planar_transform(*step), noise.covariance(step), (1e-3,) * 3, noise.response([step]), noise.calibration_sigmas
-    )
-    calibration = WheelCalibration()
+    motion, calibration = driven(np.array((1.0, 0.0, 0.1))), WheelCalibration()
     predicted = calibration.predict(motion)
     before = calibration.covariance.copy()
     calibration.learn(predicted, predicted.a_T_b, predicted.covariance)
@@ -137,8 +132,6 @@ def test_nothing_seen_teaches_nothing():
 
 def test_the_covariance_of_a_motion_agrees_with_sampled_poses():
     rng = np.random.default_rng(4)
-    import gtsam
-
     root = 1e-3 * rng.normal(size=(12, 12))
     a, b = gtsam.Pose3(planar_transform(1.0, 2.0, 0.7)), gtsam.Pose3(planar_transform(1.5, 2.9, 1.3))
     a_T_b = a.between(b).matrix()
@@ -146,6 +139,5 @@ def test_the_covariance_of_a_motion_agrees_with_sampled_poses():
     for _ in range(20000):
         tangent = root @ rng.standard_normal(12)
         sampled.append(planar_delta(a.retract(tangent[:6]).between(b.retract(tangent[6:])).matrix()))
-    np.testing.assert_allclose(
-        motion_covariance(a_T_b, root @ root.T), np.cov(np.array(sampled).T), rtol=0.05, atol=3e-7
-    )
+    expected = np.cov(np.array(sampled).T)
+    np.testing.assert_allclose(motion_covariance(a_T_b, root @ root.T), expected, rtol=0.05, atol=3e-7)

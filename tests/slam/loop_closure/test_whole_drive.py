@@ -27,10 +27,8 @@ STEP, FOUND = np.diag((0.02, 0.02, 0.01)) ** 2, np.diag((0.03, 0.03, 0.006)) ** 
 
 def chi2_of(proposals: list[Proposal], true: FloatArray) -> FloatArray:
     """Chi2, 3 dof, of relative poses against the truth (N, 4, 4)."""
-    errors = [
-        difference(one.pose.delta, planar_delta(inverse(true[one.old_keyframe]) @ true[one.keyframe]))
-        for one in proposals
-    ]
+    true_deltas = [planar_delta(inverse(true[one.old_keyframe]) @ true[one.keyframe]) for one in proposals]
+    errors = [difference(one.pose.delta, delta) for one, delta in zip(proposals, true_deltas, strict=True)]
     return np.array([e @ np.linalg.solve(one.pose.covariance, e) for e, one in zip(errors, proposals, strict=True)])
 
 
@@ -54,8 +52,8 @@ def test_a_second_round_that_was_laid_elsewhere_is_found_to_be_the_first_one(rou
     across = [one.old_keyframe <= half < one.keyframe for one in found.proposals]
     assert sum(across) > 10
     assert found.offsets_m[across].min() > 0.6 and np.delete(found.offsets_m, np.flatnonzero(across)).max() < 0.1
-    assert chi2_of(list(found.proposals), true).max() < 16.3
-    assert chi2_of(list(found.inferred), true).max() < 16.3
+    for some in (found.proposals, found.inferred):
+        assert chi2_of(list(some), true).max() < 16.3
     assert len(found.inferred) > 60
 
 
@@ -76,8 +74,7 @@ def test_a_drive_that_is_none_on_a_floor_is_not_asked(rounds):
 
 def circles(seed: int, false: int) -> tuple[FloatArray, list[Motion], list[Proposal]]:
     """Twice round a circle, every sixth keyframe of the second round found to stand where one of the first did."""
-    rng = np.random.default_rng(seed)
-    angles = np.linspace(0.0, 4.0 * np.pi, 120)
+    rng, angles = np.random.default_rng(seed), np.linspace(0.0, 4.0 * np.pi, 120)
     true = np.array([planar_transform(8.0 * np.cos(a), 8.0 * np.sin(a), a + 0.5 * np.pi) for a in angles])
     noisy = [planar_delta(inverse(a) @ b) + np.sqrt(np.diag(STEP)) * rng.standard_normal(3) for a, b in pairwise(true)]
     steps = [Motion(planar_transform(*delta), STEP, (1e-3, 1e-3, 1e-3)) for delta in noisy]

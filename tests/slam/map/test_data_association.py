@@ -11,7 +11,7 @@ from scipy.stats import chi2 as chi2_distribution
 from shapely import box
 
 from benchmarks.growth import mission
-from factors.association.decisions import AssociationGates, Candidate, decide, is_open
+from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
 from factors.association.gating import Hypothesis, State, chi2_and_log_det
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import PlaneObservation
@@ -61,8 +61,7 @@ def test_a_board_that_is_seen_best_does_not_take_its_wall_and_the_pose_with_it(l
     board = seen((0.0, -1.0, 0.0), -1.08, 1000, 0.5)
     report = slam.add_keyframe(Keyframe(looks * PERIOD_NS, [board, *walls[:3]], step(0.5)))
     matches = [None if one.match is None else one.match.landmark for one in report.decisions]
-    assert matches == [None, 0, 1, 2]
-    assert abs(report.world_T_body[1, 3]) < 1e-3
+    assert matches == [None, 0, 1, 2] and abs(report.world_T_body[1, 3]) < 1e-3
     [alone] = slam.add_keyframe(Keyframe((looks + 1) * PERIOD_NS, [board], step(0.5))).decisions
     assert alone.candidates[0].p_value > 1e-3  # by itself the board could be its wall
 
@@ -78,20 +77,18 @@ def anywhere(_: int) -> bool:
 
 
 def test_of_two_that_it_could_be_it_is_the_one_seen_there_and_it_waits_only_for_a_rival_that_is_near():
-    board, wall = Candidate(7, 0.5, 2, 8.4, True), Candidate(2, 7.8, 2, 5.2, True)
-    rules = AssociationGates()
+    board, wall, rules = Candidate(7, 0.5, 2, 8.4, True), Candidate(2, 7.8, 2, 5.2, True), AssociationGates()
 
-    def decided(far_from_board: float) -> int:
-        decision = decide(0, [board, wall], 0.0, {7: far_from_board, 2: 0.0}.__getitem__, anywhere, rules)
-        assert decision.match is not None
+    def decided(far_from_board: float) -> Decision:
+        far = {7: far_from_board, 2: 0.0}
+        decision = decide(0, [board, wall], 0.0, far.__getitem__, anywhere, rules)
         assert decision.candidates == (board, wall)
-        return decision.match.landmark
+        return decision
 
-    assert decided(0.0) == decided(3.0) == 7
-    assert decided(3.5) == 2
-    decision = decide(0, [board, wall], 0.0, {7: 3.5, 2: 0.0}.__getitem__, anywhere, rules)
-    assert is_open(decision, {7: 3.5, 2: 0.0}.__getitem__, rules)
-    assert not is_open(decision, {7: 8.0, 2: 0.0}.__getitem__, rules)
+    for far, landmark in ((0.0, 7), (3.0, 7), (3.5, 2)):
+        assert decided(far).match.landmark == landmark
+    assert is_open(decided(3.5), {7: 3.5, 2: 0.0}.__getitem__, rules)
+    assert not is_open(decided(3.5), {7: 8.0, 2: 0.0}.__getitem__, rules)
     alone = decide(0, [board], 0.0, {7: 8.0}.__getitem__, anywhere, rules)
     assert alone.match is board  # a wall goes on where it was not seen yet
     too_far = decide(0, [board], 0.0, {7: 8.0}.__getitem__, lambda _: False, rules)
@@ -107,8 +104,7 @@ def test_between_the_gates_and_where_another_plane_is_as_likely_neither_is_said(
     """What is unsure is left out: as a match it would pull the pose, as a new plane be in the map twice."""
     candidate = Candidate(7, float(chi2_distribution.isf(p, dof)), dof, log_likelihood, True)
     decision = decide(0, [candidate], 0.0, lambda _: 0.0, anywhere, AssociationGates())
-    assert decision.verdict == verdict
-    assert decision.match is (candidate if verdict == "match" else None)
+    assert decision.verdict == verdict and decision.match is (candidate if verdict == "match" else None)
 
 
 class Known:
@@ -125,25 +121,17 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
     """The hint says that the pose is where the landmark fits; without it the landmark is 2.1 or 4.2 sigma off."""
 
     def hypothesis(sigma: float) -> Hypothesis:
-        return Hypothesis(
-            Candidate(0, 0.0, 1, 0.0, True), np.zeros(1, dtype=int), np.eye(1) / sigma, np.array([target]) / sigma
-        )
+        candidate, column = Candidate(0, 0.0, 1, 0.0, True), np.zeros(1, dtype=int)
+        return Hypothesis(candidate, column, np.eye(1) / sigma, np.array([target]) / sigma)
 
     def hinted() -> State:
         state = State(Known())
         state.condition(state.innovation(hypothesis(1e-3)))
         return state
 
+    sought, without_hint, rules = [[hypothesis(1.0)]], lambda: State(Known()), AssociationGates()
     problem = JointCompatibility(
-        [[hypothesis(1.0)]],
-        [-9.0],
-        [-9.0],
-        lambda *_: 0.0,
-        lambda *_: True,
-        [1],
-        hinted,
-        lambda: State(Known()),
-        AssociationGates(),
+        sought, [-9.0], [-9.0], lambda *_: 0.0, lambda *_: True, [1], hinted, without_hint, rules
     )
     decision = problem.best().decisions[0]
     assert decision.verdict == verdict
@@ -160,8 +148,7 @@ def test_an_office_is_mapped_by_the_same_decisions(monkeypatch: pytest.MonkeyPat
 
     at_once = decided()
     monkeypatch.setattr(LandmarkMap, "near", one_by_one)
-    assert at_once == decided()
-    assert sum(one.match is not None for decisions in at_once for one in decisions) > 300
+    assert at_once == decided() and sum(one.match is not None for decisions in at_once for one in decisions) > 300
 
 
 def one_by_one(self, normal, middle, reach, max_angle):

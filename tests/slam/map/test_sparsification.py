@@ -13,11 +13,12 @@ from slam import PlaneSlam, SlamConfig
 from slam.config import ThinningConfig
 from slam.diagnostics.evidence.innovations import odometry_evidence
 from slam.frontend.odometry import Motion, spatial_covariance
-from slam.geometry.frames import inverse, planar_transform
+from slam.geometry.frames import planar_transform
 from slam.map.sparsification import PoseSupport, _seen, chained
 from slam.planeslam import pose_symbol
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation.robots import spinning_rig
+from spplanes import Plane
 from tests.slam.scenes import Drive, drive, planar_nees, room_planes, run_of
 from tests.statistics import mean_nees_band
 
@@ -42,15 +43,13 @@ def nees(slam: PlaneSlam, scene: Drive, index: int) -> float:
 
 @pytest.fixture(scope="module")
 def thinned() -> list[tuple[PlaneSlam, Drive]]:
-    scenes = [laps(seed) for seed in range(3)]
-    return [(run(scene), scene) for scene in scenes]
+    return [(run(scene), scene) for scene in map(laps, range(3))]
 
 
 def test_the_graph_stops_growing_where_the_map_is_known(thinned):
     for slam, scene in thinned:
         held = len(scene.keyframes) - slam.backend.n_left
-        assert PER_LAP * 2 <= held < PER_LAP * 3.5
-        assert len(slam.landmarks) == 6
+        assert PER_LAP * 2 <= held < PER_LAP * 3.5 and len(slam.landmarks) == 6
         assert len(slam.trajectory.poses) == len(scene.keyframes)
 
 
@@ -63,16 +62,14 @@ def test_a_pose_that_left_is_as_honest_as_one_that_stayed(thinned):
     ]
     # keyframes of one drive share the errors of its map: fewer are independent than there are
     low, high = mean_nees_band(3 * len(thinned), 3)
-    assert len(gone) > 20
-    assert low < np.mean(gone) < high
+    assert len(gone) > 20 and low < np.mean(gone) < high
 
 
 def test_what_left_is_in_no_factor_and_the_odometry_through_it_is_in_one(thinned):
     slam, scene = thinned[0]
     held = [index for index in range(len(scene.keyframes)) if slam.backend.holds(pose_symbol(index))]
     poses = {pose_symbol(index) for index in range(len(scene.keyframes))}
-    steps, seen = [], 0
-    graph = slam.backend.graph
+    steps, seen, graph = [], 0, slam.backend.graph
     for keys in (set(graph.at(i).keys()) for i in range(graph.size())):
         assert not any(not slam.backend.holds(key) for key in keys & poses)
         if len(keys) == 2 and keys <= poses:
@@ -95,21 +92,18 @@ def test_the_map_is_hardly_worse_and_claims_no_more_than_with_every_keyframe(thi
 
 
 def test_the_evidence_of_odometry_asks_only_for_poses_that_the_graph_holds(thinned):
-    rig = spinning_rig()
     for slam, scene in thinned:
         assert any(not slam.backend.holds(pose_symbol(index)) for index in range(len(scene.keyframes)))
-        assert all(one.p_value > 1e-3 for one in odometry_evidence(slam, rig))  # honest, and no KeyError
+        assert all(one.p_value > 1e-3 for one in odometry_evidence(slam, spinning_rig()))  # honest, and no KeyError
 
 
 def test_a_thinned_graph_goes_on_after_a_batch():
-    scene = laps(7)
-    slam = PlaneSlam(SlamConfig(thinning=RULES))
+    scene, slam = laps(7), PlaneSlam(SlamConfig(thinning=RULES))
     for index, frame in enumerate(scene.keyframes):
         if index == 60:
             slam.adopt_batch()
         slam.add_keyframe(frame)
-    assert slam.backend.n_left > 20
-    assert nees(slam, scene, len(scene.keyframes) - 1) < chi2_distribution.isf(1e-4, 3)
+    assert slam.backend.n_left > 20 and nees(slam, scene, len(scene.keyframes) - 1) < chi2_distribution.isf(1e-4, 3)
 
 
 def test_two_motions_in_one_are_what_the_noise_model_says_of_both():
@@ -119,9 +113,8 @@ def test_two_motions_in_one_are_what_the_noise_model_says_of_both():
 
     def motion(deltas: np.ndarray) -> Motion:
         whole, spread = noise.accumulate(deltas)
-        return Motion(
-            planar_transform(*whole), spread, (1e-3, 2e-3, 2e-3), noise.response(deltas), noise.calibration_sigmas
-        )
+        sigmas = (1e-3, 2e-3, 2e-3)
+        return Motion(planar_transform(*whole), spread, sigmas, noise.response(deltas), noise.calibration_sigmas)
 
     both = chained(motion(steps[:1]), motion(steps[1:]))
     np.testing.assert_allclose(both.a_T_b, planar_transform(*total), atol=1e-12)
@@ -145,19 +138,14 @@ def test_two_motions_in_one_are_what_the_noise_model_says_of_both():
 
 def test_what_was_seen_is_needed_until_all_directions_have_been_seen_again():
     step = Motion(planar_transform(0.5, 0.0, 0.0), np.diag((1e-4, 1e-4, 1e-4)), (1e-3, 1e-3, 1e-3))
-    body_T_world = inverse(planar_transform(0.0, 0.0, 0.0))
-    planes = [PlaneObservation(plane.transform(body_T_world)) for plane in room_planes()]
-    planes = [
-        PlaneObservation(type(one.plane)(one.plane.frame, np.diag((1e-5, 1e-5, 1e-5)), 100, one.plane.outline))
-        for one in planes
-    ]
+    known = np.diag((1e-5, 1e-5, 1e-5))
+    planes = [PlaneObservation(Plane(one.frame, known, 100, one.outline)) for one in room_planes()]
     sides = [one for one in planes if abs(one.plane.normal[0]) < 0.5]
     footing = PoseSupport()
     footing.step(0, None, [])
     for keyframe in range(1, 6):
         footing.step(keyframe, step, planes)
-    settled = footing.needed_from
-    assert settled >= 3
+    assert footing.needed_from >= 3
     for keyframe in range(6, 20):  # a corridor: nothing along it
         footing.step(keyframe, step, sides)
     assert footing.needed_from <= 6

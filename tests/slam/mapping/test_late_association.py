@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from shapely import box
+from shapely import Polygon, box
 
 from factors.association.observations import PlaneObservation
 from slam import PlaneSlam, SlamConfig
@@ -17,14 +17,11 @@ from tests.slam.scenes import drive, run_of
 UNCERTAIN = np.diag([0.01, 0.2, 0.2]) ** 2
 
 
-def uncertain(
-    seen: PlaneObservation, shift_m: float = 0.0, outline: tuple[float, float] | None = None
-) -> PlaneObservation:
+def uncertain(seen: PlaneObservation, shift_m: float = 0.0, outline: Polygon | None = None) -> PlaneObservation:
     """The same plane known less well, moved along its normal, with an outline of another size."""
     frame = seen.plane.frame.copy()
     frame[:3, 3] += shift_m * seen.plane.normal
-    patch = seen.plane.outline if outline is None else box(0.0, 0.0, *outline)
-    return PlaneObservation(Plane(frame, UNCERTAIN, seen.plane.n_points, patch))
+    return PlaneObservation(Plane(frame, UNCERTAIN, seen.plane.n_points, outline or seen.plane.outline))
 
 
 def run(first: PlaneObservation | None, config: SlamConfig | None = None) -> PlaneSlam:
@@ -48,19 +45,17 @@ def sightings(slam: PlaneSlam) -> list[int]:
 
 def test_a_plane_too_uncertain_to_start_a_landmark_is_matched_once_it_is_there():
     slam = run(uncertain(last_of_first()))
-    assert len(slam.landmarks) == 6
-    assert sightings(slam) == [1, 0, 2, 3]
+    assert len(slam.landmarks) == 6 and sightings(slam) == [1, 0, 2, 3]
     [late] = slam.late_matches
     assert (late.at, late.keyframe, late.decision.observation) == (1, 0, 5)
     assert late.decision.match is not None and late.decision.match.chi2 < 16.3
     # its factor is in the graph: the batch of the same graph agrees
-    batch = slam.optimize_batch()
-    assert slam.backend.values.size() == batch.size()
+    assert slam.backend.values.size() == slam.optimize_batch().size()
 
 
 def test_what_lies_elsewhere_or_is_the_edge_of_something_is_not():
     assert sightings(run(uncertain(last_of_first(), shift_m=0.3))) == [1, 2, 3]
-    assert sightings(run(uncertain(last_of_first(), outline=(0.3, 0.3)))) == [1, 2, 3]
+    assert sightings(run(uncertain(last_of_first(), outline=box(0.0, 0.0, 0.3, 0.3)))) == [1, 2, 3]
 
 
 def test_nothing_waits_longer_than_it_is_told_to():

@@ -27,11 +27,9 @@ def wall(distance_m: float, sigma_m: float) -> PlaneObservation:
 def test_a_turn_bends_what_it_moves_by_more_than_a_sigma_to_second_order(axis: tuple[float, float, float]) -> None:
     """Of a wall at 5 m a turn of 0.02 rad leaves 5 (1 - cos 0.02) = 1.0 mm out."""
     turn = gtsam.Rot3.Expmap(0.02 * np.array(axis)).matrix()
-    assert bends(turn, [wall(5.0, 0.0009)])
-    assert not bends(turn, [wall(5.0, 0.0011)])
+    assert bends(turn, [wall(5.0, 0.0009)]) and not bends(turn, [wall(5.0, 0.0011)])
     assert bends(turn, [wall(5.0, 0.0011), wall(8.0, 0.0015)])
-    assert not bends(np.eye(3), [wall(5.0, 1e-5)])
-    assert not bends(turn, [])
+    assert not bends(np.eye(3), [wall(5.0, 1e-5)]) and not bends(turn, [])
 
 
 def seen(area_m2: float, n_points: int, tilt_sigma_rad: float) -> PlaneObservation:

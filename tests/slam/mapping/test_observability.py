@@ -23,11 +23,13 @@ from tests.slam.scenes import drive, measured, room_planes, run_of
 from tests.statistics import central_differences
 
 RULES = ObservabilityConfig()
-ROOM_SIGMAS = np.array([0.004, 0.003, 0.005])
+ROOM_COVARIANCE = np.diag([0.004, 0.003, 0.005]) ** 2
+#: Floor, ceiling and the two walls along x.
+CORRIDOR = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
 
 
-def sight(plane: Plane, covariance: np.ndarray | None = None) -> PlaneObservation:
-    return PlaneObservation(replace(plane, covariance=np.diag(ROOM_SIGMAS**2) if covariance is None else covariance))
+def sight(plane: Plane, covariance: np.ndarray = ROOM_COVARIANCE) -> PlaneObservation:
+    return PlaneObservation(replace(plane, covariance=covariance))
 
 
 def sp_error(plane: Plane, delta: np.ndarray) -> np.ndarray:
@@ -53,23 +55,17 @@ def test_a_room_leaves_nothing_open():
 
 
 def test_floor_ceiling_and_two_walls_leave_the_way_between_them_open():
-    corridor = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
     turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.zeros(3)).matrix()
-    (found,) = open_directions(4, [sight(plane.transform(inverse(turned))) for plane in corridor], turned, RULES)
+    (found,) = open_directions(4, [sight(plane.transform(inverse(turned))) for plane in CORRIDOR], turned, RULES)
     assert (found.keyframe, found.part, found.name, found.sigma_seen) == (4, "position", "along x", np.inf)
 
 
 def test_noisy_looks_at_one_wall_fix_nothing_along_it():
     """Two looks 3 deg apart seem to cross; by the landmark's own normal the way along the wall stays open."""
-    corridor = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
-    noisy = [
-        plane.transform(gtsam.Pose3(gtsam.Rot3.Yaw(turn), np.zeros(3)).matrix())
-        for plane in corridor
-        for turn in (0.0, 0.05)
-    ]
-    looks = [sight(plane) for plane in noisy]
+    turns = [gtsam.Pose3(gtsam.Rot3.Yaw(turn), np.zeros(3)).matrix() for turn in (0.0, 0.05)]
+    looks = [sight(plane.transform(turn)) for plane in CORRIDOR for turn in turns]
     assert not any(one.name == "along x" for one in open_directions(4, looks, np.eye(4), RULES))
-    normals = [plane.normal for plane in corridor for _ in range(2)]
+    normals = [plane.normal for plane in CORRIDOR for _ in range(2)]
     (found,) = open_directions(4, looks, np.eye(4), RULES, normals=normals)
     assert (found.part, found.name, found.sigma_seen) == ("position", "along x", np.inf)
 
@@ -81,12 +77,10 @@ def test_one_floor_leaves_what_a_floor_must():
 
 
 def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
-    planes = room_planes()
-    corridor = [sight(plane) for plane in planes if abs(plane.normal[0]) < 0.5]
-    poor = sight(planes[2], np.diag([0.5**2, 1.0, 1.0]))
-    (found,) = open_directions(1, [*corridor, poor], np.eye(4), RULES)
+    seen = [*map(sight, CORRIDOR), sight(room_planes()[2], np.diag([0.5**2, 1.0, 1.0]))]
+    (found,) = open_directions(1, seen, np.eye(4), RULES)
     assert found.sigma_seen == pytest.approx(0.5, rel=1e-3)
-    assert open_directions(1, [*corridor, poor], np.eye(4), ObservabilityConfig(max_sigma_m=0.6)) == []
+    assert open_directions(1, seen, np.eye(4), ObservabilityConfig(max_sigma_m=0.6)) == []
 
 
 def test_lines_of_a_level_laser_say_nothing_of_the_height():
@@ -98,15 +92,14 @@ def test_lines_of_a_level_laser_say_nothing_of_the_height():
 
 def test_the_floor_holds_height_roll_and_pitch_of_what_drives_on_it():
     """One wall along x seen by a body on a floor: only the way along it is open, unless the floor is a rough guess."""
-    wall = room_planes()[4] if abs(room_planes()[4].normal[1]) > 0.9 else room_planes()[3]
-    (seen,) = [sight(wall)]
+    seen = sight(room_planes()[4])
     level = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-4]), (0.001, 0.001, 0.001))
     rough = replace(level, out_of_plane_sigmas=(0.5, 0.001, 0.2))
     spatial = Motion(np.eye(4), np.eye(6), (0.0, 0.0, 0.0))
-    names = lambda motion: sorted(one.name for one in open_directions(1, [seen], np.eye(4), RULES, motion))  # noqa: E731
-    assert names(level) == names(replace(level, out_of_plane_sigmas=(0.0, 0.0, 0.0))) == ["along x"]
-    assert names(rough) == ["about y", "along x", "along z"]
-    assert names(spatial) == names(None) == ["about y", "along x", "along z"]
+    along = [(motion, ["along x"]) for motion in (level, replace(level, out_of_plane_sigmas=(0.0, 0.0, 0.0)))]
+    more = [(motion, ["about y", "along x", "along z"]) for motion in (rough, spatial, None)]
+    for motion, names in along + more:
+        assert sorted(one.name for one in open_directions(1, [seen], np.eye(4), RULES, motion)) == names
 
 
 def corridor_run(*, with_odometry: bool, count: int = 8) -> PlaneSlam:
@@ -123,8 +116,7 @@ def test_a_run_says_what_only_odometry_holds_and_how_well():
     slam = corridor_run(with_odometry=True)
     (stretch,) = slam.open_directions
     assert stretch.keyframes == tuple(range(1, 8)) and stretch.total == 7
-    pose = slam.trajectory.poses[-1]
-    covariance = slam.marginal_covariance(pose_symbol(7))[3:, 3:]
+    pose, covariance = slam.trajectory.poses[-1], slam.marginal_covariance(pose_symbol(7))[3:, 3:]
     sigma = np.sqrt((pose[:3, :3] @ covariance @ pose[:3, :3].T)[0, 0])
     assert stretch.sigma == pytest.approx(sigma, rel=1e-2)
     assert stretch.sentence.startswith("along x: information only from odometry at 7 of 7 keyframes, sigma 0.0")
@@ -134,8 +126,7 @@ def test_without_odometry_the_graph_stands_and_says_what_is_assumed():
     slam = corridor_run(with_odometry=False, count=4)
     along = next(stretch for stretch in slam.open_directions if stretch.sentence.startswith("along x"))
     assert "information only from the assumption of constant velocity at 3 of 3 keyframes" in along.sentence
-    assert along.sigma > 0.5
-    assert len(slam.optimize_batch().keys()) == 4 + len(slam.landmarks)
+    assert along.sigma > 0.5 and len(slam.optimize_batch().keys()) == 4 + len(slam.landmarks)
 
 
 def test_a_keyframe_without_odometry_and_without_planes_is_held_by_the_assumption_alone():
@@ -166,20 +157,16 @@ def test_a_corridor_seen_by_planes_alone_is_open_as_a_whole_along_itself():
 
 
 def test_a_room_is_fixed_as_a_whole():
-    slam = run_of(drive(0, count=8).keyframes)
-    assert slam.open_in_map == []
+    assert run_of(drive(0, count=8).keyframes).open_in_map == []
 
 
 def test_two_rooms_that_only_a_bare_corridor_links_are_open_against_each_other():
     """Every keyframe at the ends is fixed by what it sees; what lies between says nothing of how far they are apart."""
-    slam = PlaneSlam()
-    planes = [plane for plane in room_planes() if abs(plane.normal[0]) < 0.5]
+    slam, rng = PlaneSlam(), np.random.default_rng(0)
     ends = [plane for plane in room_planes() if abs(plane.normal[0]) > 0.5]
-    rng = np.random.default_rng(0)
     for index in range(9):
-        pose = np.eye(4)
-        pose[:3, 3] = 0.4 * index, 0.0, 0.0
-        near = [*planes, *(ends[:1] if index < 3 else ends[1:] if index > 5 else [])]
+        pose = planar_transform(0.4 * index, 0.0, 0.0)
+        near = [*CORRIDOR, *(ends[:1] if index < 3 else ends[1:] if index > 5 else [])]
         seen = [PlaneObservation(measured(plane.transform(inverse(pose)), rng)) for plane in near]
         step = planar_transform(0.4, 0.0, 0.0)
         motion = Motion(step, np.diag([1e-4, 1e-4, 1e-5]), (1e-3, 1e-3, 1e-3)) if index else None
@@ -194,9 +181,8 @@ def test_the_size_of_what_is_open_is_that_of_the_normal_equations():
     """Each of two end walls, seen with 0.4 m from both keyframes, leaves 0.4 m times the root of two between them."""
     slam, badly, scene = PlaneSlam(), np.diag([0.16, 9e-6, 9e-6]), drive(0, count=2, turns=0.02)
     for frame, pose in zip(scene.keyframes, scene.world_T_body, strict=True):
-        planes = [plane.transform(inverse(pose)) for plane in room_planes()]
-        ends = [abs(plane.normal[0]) > 0.5 for plane in room_planes()]
-        seen = [sight(plane, badly if end else None) for plane, end in zip(planes, ends, strict=True)]
+        sights = [(plane, badly if abs(plane.normal[0]) > 0.5 else ROOM_COVARIANCE) for plane in room_planes()]
+        seen = [sight(plane.transform(inverse(pose)), covariance) for plane, covariance in sights]
         slam.add_keyframe(Keyframe(frame.stamp_ns, seen, frame.motion, frame.world_T_body_guess))
     (found,) = slam.open_in_map
     assert name_of(found.part, found.direction) == "along x" and found.keyframes == (1,)

@@ -18,8 +18,7 @@ from tests.slam.scenes import drive
 
 def run(seed: int, *, stated: float = 1.0, robust: bool = True) -> PlaneSlam:
     """Round the room without odometry, the sigmas of the planes stated so many times too small."""
-    rules = CoastingConfig() if robust else CoastingConfig(robust=None)
-    slam = PlaneSlam(SlamConfig(coasting=rules))
+    slam = PlaneSlam(SlamConfig(coasting=CoastingConfig() if robust else CoastingConfig(robust=None)))
     for frame in drive(seed, count=12, turns=0.3).keyframes:
         planes = [one.plane for one in frame.observations if isinstance(one, PlaneObservation)]
         seen = [PlaneObservation(replace(one, covariance=one.covariance / stated**2)) for one in planes]
@@ -33,13 +32,11 @@ def test_nis_of_an_honest_run_without_odometry_is_in_its_band_with_six_degrees_l
     dof = sum(dof for _, _, dof in rows)
     assert dof == 8 * 11 * (6 * 3 - 6)
     low, high = chi2_distribution.ppf([0.005, 0.995], dof) / dof
-    assert low < sum(chi2 for _, chi2, _ in rows) / dof < high
-    assert all(slam.audit.warnings() == [] for slam in slams)
+    assert low < sum(chi2 for _, chi2, _ in rows) / dof < high and all(slam.audit.warnings() == [] for slam in slams)
 
 
 def test_with_the_robust_kernel_it_is_not_called_over_confident_and_with_lies_it_is():
-    assert run(0).audit.warnings() == []
-    assert run(0).audit.summary()[0].count > 40
+    assert run(0).audit.warnings() == [] and run(0).audit.summary()[0].count > 40
     [warning] = run(0, stated=3.0).audit.warnings()
     assert warning.startswith("the plane factors are over-confident: mean NIS per degree of freedom ")
 
@@ -53,8 +50,7 @@ def test_in_a_bare_room_that_looks_alike_from_both_ends_the_body_does_not_change
 
 
 def test_a_guess_too_wide_to_tell_planes_apart_is_no_odometry():
-    wide = Motion(np.eye(4), np.diag([1.0] * 6), (1.0, 1.0, 1.0))
-    slam = PlaneSlam()
+    wide, slam = Motion(np.eye(4), np.diag([1.0] * 6), (1.0, 1.0, 1.0)), PlaneSlam()
     for index, frame in enumerate(drive(1, count=3, turns=0.06).keyframes):
         motion = wide if index else None
         slam.add_keyframe(Keyframe(frame.stamp_ns, frame.observations, motion, frame.world_T_body_guess))

@@ -30,10 +30,8 @@ def wall(ahead: float, side: float) -> LineObservation:
 
 def after_a_step(first: list[LineObservation], second: list[LineObservation]) -> FloatArray:
     """Information of (x, y, theta) of half a metre ahead, by wheels, returns and lines, shape (3, 3)."""
-    step = planar_transform(0.5, 0.0, 0.0)
-    motion = Motion(
-        step, np.diag(WHEELS**2), (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=np.diag(RETURNS**2)
-    )
+    step, told = planar_transform(0.5, 0.0, 0.0), np.diag(RETURNS**2)
+    motion = Motion(step, np.diag(WHEELS**2), (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=told)
     slam = PlaneSlam()
     slam.add_keyframe(Keyframe(0, first))
     slam.add_keyframe(Keyframe(1, second, motion))

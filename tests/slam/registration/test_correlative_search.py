@@ -11,7 +11,7 @@ from slam.frontend.occupancy.raster import CELL_M, Raster, view_from
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.registration.correlative_search import PlaceView, evidence_at, search_place
-from tests.slam.laser_floors import Drive, LaserSettings, Wheels, cast, ring
+from tests.slam.laser_floors import Drive, Wheels, cast, ring
 from tests.slam.laser_floors import drive as drive_plan
 
 LOOKS = 9.0
@@ -55,20 +55,13 @@ def test_a_place_is_found_and_its_covariance_holds_its_error():
     errors = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        poses = [
-            np.array((2.0, 2.0, 0.3)),
-            np.array((3.0, 2.2, 2.0)),
-            np.array((3.5, 1.5, -1.2)),
-            np.array((4, 3, 3.5)),
-        ]
+        poses = [np.array(one) for one in ((2.0, 2.0, 0.3), (3.0, 2.2, 2.0), (3.5, 1.5, -1.2), (4.0, 3.0, 3.5))]
         others = [pose + rng.normal(0.0, (0.3, 0.3, 0.3)) for pose in poses]
         here, there = (submap(room(), seen, seen[0], rng) for seen in (others, poses))
         true = planar_delta(inverse(planar_transform(*poses[0])) @ planar_transform(*others[0]))
-        guess = true + rng.uniform(-1.0, 1.0, 3) * (0.8, 0.8, 0.15)
-        box = np.array((1.5, 1.5, 0.3))
+        guess, box = true + rng.uniform(-1.0, 1.0, 3) * (0.8, 0.8, 0.15), np.array((1.5, 1.5, 0.3))
         [best, *rivals] = search_place(here, there, guess, np.diag((box / 3.0) ** 2), box, looks=LOOKS).modes
-        assert best.log_odds > 5.0
-        assert all(one.log_odds < -3.0 for one in rivals)
+        assert best.log_odds > 5.0 and all(one.log_odds < -3.0 for one in rivals)
         error = best.pose - true
         errors.append(float(error @ np.linalg.solve(best.covariance, error)))
         assert np.linalg.norm(error[:2]) < 0.01  # a fifth of a cell
@@ -96,8 +89,7 @@ def test_a_maximum_at_the_edge_of_the_box_is_looked_for_beyond_it():
     here, there = (submap(room(), poses, poses[0], rng) for _ in range(2))
     box = np.array((0.5, 0.5, 0.1))
     found = search_place(here, there, np.array((0.6, 0.2, 0.0)), np.diag((box / 2.0) ** 2), box, looks=LOOKS)
-    assert found.reach[0] > box[0]
-    assert not found.is_at_edge
+    assert found.reach[0] > box[0] and not found.is_at_edge
     np.testing.assert_allclose(found.modes[0].pose, 0.0, atol=0.03)
 
 
@@ -117,8 +109,7 @@ def test_doors_at_equal_distances_leave_several_places(shift: float):
     here, there = (submap(walls, ALONG, np.zeros(3), rng) for _ in range(2))
     box = np.array((4.0, 0.6, 0.1))
     found = search_place(here, there, np.array((shift, 0.0, 0.0)), np.diag((4.0, 0.1, 0.01)), box, looks=LOOKS)
-    assert len(found.modes) >= 3
-    assert found.modes[0].log_odds < 6.9
+    assert len(found.modes) >= 3 and found.modes[0].log_odds < 6.9
     places = sorted(float(mode.pose[0]) for mode in found.modes[:3])
     np.testing.assert_allclose(np.diff(places), 2.4, atol=0.2)  # one of a thousandth of the best is cut beside it
     likely = sorted(float(mode.pose[0]) for mode in found.modes[:3] if mode.log_odds > -5.0)
@@ -128,11 +119,9 @@ def test_doors_at_equal_distances_leave_several_places(shift: float):
 
 def drives() -> list[Drive]:
     """Other buildings, each from its own seed, seen without noise of wheels."""
-    still, laser = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0), LaserSettings()
-    plans = [
-        ring(np.random.default_rng(seed), length_m=12.0, depth_m=8.0, doors_per_wall=2 + seed % 3) for seed in range(5)
-    ]
-    return [drive_plan(plan, np.random.default_rng(k), laser, still) for k, plan in enumerate(plans)]
+    still, rngs = Wheels(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0), [np.random.default_rng(seed) for seed in range(5)]
+    plans = [ring(rng, length_m=12.0, depth_m=8.0, doors_per_wall=2 + seed % 3) for seed, rng in enumerate(rngs)]
+    return [drive_plan(plan, np.random.default_rng(k), wheels=still) for k, plan in enumerate(plans)]
 
 
 def places_of(drive: Drive, count: int) -> list[PlaceView]:
@@ -155,8 +144,7 @@ def test_a_place_in_another_building_is_no_loop():
                 for there in others:
                     found = search_place(here, there, np.zeros(3), np.diag((box / 3.0) ** 2), box, looks=LOOKS)
                     odds.append(found.modes[0].log_odds if found.modes else -np.inf)
-    assert len(odds) == 120
-    assert max(odds) < -np.log(1e-3)
+    assert len(odds) == 120 and max(odds) < -np.log(1e-3)
     for likely in (3.0, 20.0):
         assert np.mean(np.array(odds) > np.log(likely)) < 1.0 / likely
 

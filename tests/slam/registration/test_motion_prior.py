@@ -37,8 +37,7 @@ def drawn(rng: np.random.Generator, shares: np.ndarray, rate: float, steps: int)
 
 
 def test_how_a_body_moves_is_learnt_axis_by_axis() -> None:
-    shares = np.array([0.05, 0.1, 0.4, 0.05, 0.2, 0.08])
-    rng = np.random.default_rng(4)
+    shares, rng = np.array([0.05, 0.1, 0.4, 0.05, 0.2, 0.08]), np.random.default_rng(4)
     found = np.array([learnt_from(drawn(rng, shares, 0.05, 60)).usual.shares for _ in range(12)])
     assert np.exp(np.log(found).mean(axis=0)) == pytest.approx(shares, rel=0.3)
 
@@ -48,9 +47,7 @@ def test_turns_are_rare_steps_and_not_a_wider_body() -> None:
     offs = np.random.default_rng(5).standard_normal((60, 6)) * 0.03 * np.sqrt(CHANGE)
     offs[::10, 5] = 0.4
     learnt = learnt_from(offs)
-    assert learnt.usual.shares[5] < 0.1
-    assert 0.04 < learnt.usual.rates[5] < 0.25
-    assert learnt.usual.rates[0] < 0.03
+    assert learnt.usual.shares[5] < 0.1 and 0.04 < learnt.usual.rates[5] < 0.25 and learnt.usual.rates[0] < 0.03
     turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.4])
     assert -8.0 < learnt.log_likelihood(turn) < -3.0
     assert learnt.log_likelihood(turn[::-1]) < learnt.log_likelihood(turn) - 1.0  # along the first it never did
@@ -75,8 +72,7 @@ def test_densities_are_densities() -> None:
 @pytest.mark.parametrize("share", [0.05, 0.3])
 def test_the_motion_is_as_wide_as_its_deviations(share: float) -> None:
     """Second moments of what is drawn from the mixture."""
-    rng = np.random.default_rng(6)
-    shares, wide = np.full(6, share), np.sqrt(CHANGE)
+    rng, shares, wide = np.random.default_rng(6), np.full(6, share), np.sqrt(CHANGE)
     offs = rng.standard_t(3.0, (200_000, 6)) * share * wide
     rare = rng.random(offs.shape) < 0.05
     offs[rare] = (rng.standard_normal(offs.shape) * wide)[rare]
@@ -89,11 +85,10 @@ def test_a_scan_tells_whether_a_step_is_a_rare_one() -> None:
     learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.03), np.full(6, 0.05)))
     place = np.diag(np.full(6, 0.01**2))
     kept, turned, blind = (
-        np.diag(learnt.learnt(np.array([0.0, 0.0, 0.0, 0.0, 0.0, turn]), covariance).covariance)[5]
+        learnt.learnt(turn * np.eye(6)[5], covariance).covariance[5, 5]
         for turn, covariance in ((0.0, place), (0.4, place), (0.0, np.diag(np.full(6, 3.0**2))))
     )
-    assert kept < 0.05 * CHANGE[5]
-    assert turned == pytest.approx(CHANGE[5] + BEFORE[5, 5], rel=0.05)
+    assert kept < 0.05 * CHANGE[5] and turned == pytest.approx(CHANGE[5] + BEFORE[5, 5], rel=0.05)
     assert blind == pytest.approx(np.diag(learnt.learnt().covariance)[5], rel=0.05)  # nothing seen, nothing told
 
 

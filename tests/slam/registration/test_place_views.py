@@ -47,28 +47,24 @@ def raster(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0) -> 
 def test_a_block_bounds_all_motions_in_it(plan: Callable[[], FloorPlan]):
     """Also where a point lies beside the raster in the middle of a block, and in the raster at its edge."""
     a, b = (PlaceView(raster(plan(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
-    rng = np.random.default_rng(0)
-    unit = np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
+    rng, unit = np.random.default_rng(0), np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
     for level in (1, 2, 3, 4):
         blocks = np.column_stack((rng.integers(-160, 160, (400, 2)), rng.integers(-8, 8, 400))).astype(float)
         bounds, inside = evidence_at(a, b, blocks * unit, level), blocks
         for below in range(level, 0, -1):
             inside = split(inside, below)
         fits = evidence_at(a, b, inside * unit, 0).reshape(400, -1)
-        assert (fits <= bounds[:, None] + _UNIT * 1e-6).all()
-        assert fits.shape[1] == 4**level
+        assert (fits <= bounds[:, None] + _UNIT * 1e-6).all() and fits.shape[1] == 4**level
 
 
 def test_a_raster_knows_occupied_free_and_unknown():
-    beams = view(room(), (0.0, 0.0, 0.0))
-    raster = Raster.of(beams, 0.5)
+    raster = Raster.of(view(room(), (0.0, 0.0, 0.0)), 0.5)
 
     def at(x: float, y: float) -> float:
         column, row = np.floor((np.array((x, y)) - raster.origin) / CELL_M).astype(int)
         return float(raster.table[row, column])
 
-    assert at(2.98, 0.5) > 2.0
-    assert at(0.5, 0.4) == pytest.approx(np.log(NOVEL_SHARE))
+    assert at(2.98, 0.5) > 2.0 and at(0.5, 0.4) == pytest.approx(np.log(NOVEL_SHARE))
     assert at(1.1, -0.8) == 0.0  # inside the box
     assert raster.weight == pytest.approx(0.2)
 
@@ -77,9 +73,7 @@ def test_widening_takes_the_largest_value_around_and_unknown_beyond_the_edge():
     table = np.full((5, 6), -1.0)
     table[2, 3] = 4.0
     wide = _widened(table, 1)
-    assert (wide[1:4, 2:5] == 4.0).all()
-    assert wide[2, 1] == -1.0
-    assert wide[0, 0] == 0.0
+    assert (wide[1:4, 2:5] == 4.0).all() and wide[2, 1] == -1.0 and wide[0, 0] == 0.0
 
 
 def test_a_leaning_laser_gives_no_beams_and_lone_returns_are_no_surface():
@@ -94,10 +88,7 @@ def test_a_leaning_laser_gives_no_beams_and_lone_returns_are_no_surface():
 
 
 def test_what_the_walls_say_already_is_taken_off():
-    found = np.diag((0.1, 0.02, 0.01)) ** 2
-    walls = np.diag((100.0, 0.01, 0.005)) ** 2
+    found, walls = np.diag((0.1, 0.02, 0.01)) ** 2, np.diag((100.0, 0.01, 0.005)) ** 2
     rest = left_open(found, walls)
-    assert rest is not None
-    assert np.sqrt(rest[0, 0]) == pytest.approx(0.1, rel=0.01)
-    assert min(rest[1, 1], rest[2, 2]) > 10.0
-    assert left_open(found, 0.25 * found) is None
+    assert rest is not None and np.sqrt(rest[0, 0]) == pytest.approx(0.1, rel=0.01)
+    assert min(rest[1, 1], rest[2, 2]) > 10.0 and left_open(found, 0.25 * found) is None

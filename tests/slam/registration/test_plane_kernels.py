@@ -45,8 +45,7 @@ def test_directions_found_weigh_every_normal_once():
     weights = rng.uniform(0.5, 2.0, 7)
     agree = np.einsum("kij,nj,mi->knm", turns, normals, others).max(axis=2) > 0.95
     assert 0.1 < agree.mean() < 0.9
-    found = directions_found(turns, normals, others, weights, 0.95)
-    np.testing.assert_allclose(found, agree @ weights, rtol=1e-12)
+    np.testing.assert_allclose(directions_found(turns, normals, others, weights, 0.95), agree @ weights, rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -62,10 +61,9 @@ def test_best_shifts_are_the_best_of_all_threes(seed):
         shift = np.linalg.solve(n.T @ n / DISTANCE**2 + np.eye(3) / SIGMA**2, n.T @ d / DISTANCE**2)
         near = np.maximum(1.0 - np.abs(normals @ shift - offsets) / DISTANCE, 0.0)
         near[np.linalg.norm(middles - shift, axis=1) >= reaches] = 0.0
-        weight = sum(weights[k] * near[own == k].max() for k in np.unique(own))
         shifts.append(shift)
-        found.append(weight)
-        scores.append(weight - TAIL * np.log1p(0.5 * shift @ shift / SIGMA**2 / TAIL))
+        found.append(sum(weights[k] * near[own == k].max() for k in np.unique(own)))
+        scores.append(found[-1] - TAIL * np.log1p(0.5 * shift @ shift / SIGMA**2 / TAIL))
     got, weight = best_shifts(own, normals, offsets, weights, middles, reaches, strongest, DISTANCE, SIGMA, TAIL)
     known = np.array(shifts)
     rows = [int(np.argmin(np.linalg.norm(known - one, axis=1))) for one in got]

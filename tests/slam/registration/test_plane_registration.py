@@ -66,8 +66,7 @@ def test_a_wall_and_the_face_of_a_pillar_have_the_pillar_in_common():
 
 
 def test_derivatives_of_what_planes_are_off():
-    rng = np.random.default_rng(0)
-    known = hall()
+    rng, known = np.random.default_rng(0), hall()
     motion = gtsam.Pose3.Expmap(rng.normal(0.0, 0.3, 6)).matrix()
     seen = measured(known, body(1.0, 0.5, 0.3), rng)
     for one, other in zip(seen, known, strict=True):
@@ -81,8 +80,7 @@ def test_derivatives_of_what_planes_are_off():
 
 def test_a_motion_is_worked_out_as_well_as_it_says():
     """The covariance grants planes a centimetre more than these have; one pair in seven is wrong."""
-    rng = np.random.default_rng(1)
-    known, nees = hall(), []
+    rng, known, nees = np.random.default_rng(1), hall(), []
     for _ in range(40):
         true = body(*rng.uniform((-4.0, -2.0, -0.3), (4.0, 2.0, 0.3)))
         seen = measured(known, true, rng)
@@ -114,20 +112,17 @@ def test_planes_that_leave_a_motion_open_are_refused():
 
 def test_walls_stand_in_the_way_from_the_wrong_end_only():
     screen = wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
-    true = body(2.0, 0.5, 0.2)
+    true, wrong = body(2.0, 0.5, 0.2), body(-2.0, -0.5, 0.2 + np.pi)
     end = hall()[5].transform(inverse(true))
     sight = LinesOfSight.between([end], np.array([3.0]), [*hall(), screen])
-    assert sight.blocked(true) == 0.0
-    assert sight.blocked(body(-2.0, -0.5, 0.2 + np.pi)) == pytest.approx(3.0)
-    assert LinesOfSight.between([end], np.array([3.0]), hall()).blocked(body(-2.0, -0.5, 0.2 + np.pi)) == 0.0
+    assert sight.blocked(true) == 0.0 and sight.blocked(wrong) == pytest.approx(3.0)
+    assert LinesOfSight.between([end], np.array([3.0]), hall()).blocked(wrong) == 0.0
 
 
 @pytest.mark.parametrize("lean", [-0.2, 0.2])
 def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a_screen(lean: float):
     """All that is seen has a partner either way; the expectation lies nearer to the wrong end, or to the right one."""
-    rng = np.random.default_rng(2)
-    screen = wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
-    true = body(2.0, 0.5, 0.2)
+    rng, true, screen = np.random.default_rng(2), body(2.0, 0.5, 0.2), wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
     half, middle = HIGH / 2.0, (4.0 - LONG) / 2.0  # of the room this side of the screen
     in_sight = [
         wall((middle, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, LONG + 4.0),

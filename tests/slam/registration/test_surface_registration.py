@@ -46,8 +46,7 @@ def test_edges_hold_the_direction_that_the_planes_leave_open() -> None:
     by_all, by_planes = (
         np.sqrt(along @ np.linalg.inv(one.information + 1e-6 * np.eye(6))[3:, 3:] @ along) for one in (found, bare)
     )
-    assert by_all < 0.02
-    assert by_planes > 10.0 * by_all
+    assert by_all < 0.02 and by_planes > 10.0 * by_all
 
 
 def test_a_wrong_place_scores_less_than_the_right_one() -> None:
@@ -80,8 +79,7 @@ def test_a_score_counts_things_not_elements() -> None:
     assert 1.35 < alone.weight / half.weight < 1.5  # twice as much of a plane says as the root of it
     nowhere = replace(alone, score=0.0)
     assert alone.log_odds(nowhere) / half.log_odds(nowhere) == pytest.approx(alone.weight / half.weight, rel=0.03)
-    person = wall(0.0, 1.0, 0.2, 0.03)
-    with_person = align(scan(np.vstack((wall(0.0, 4.0, 2.0, 0.24), person))), known, here)
+    with_person = align(scan(np.vstack((wall(0.0, 4.0, 2.0, 0.24), wall(0.0, 1.0, 0.2, 0.03)))), known, here)
     assert with_person.share < 0.7  # before a camera who walks by close is a third of all that is seen
     assert with_person.score > 0.7 * alone.score > 0.5  # and one thing
 
@@ -94,14 +92,12 @@ def test_the_floor_of_a_room_does_not_outvote_all_that_stands_on_it() -> None:
     faces = [wall(side, 2.0 + 0.5 * k, 0.3, 0.1) for k, side in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0))]
     known = LocalMap([(np.eye(4), scan(np.vstack((floor, *faces))))])
     lower, elsewhere = floor + np.eye(8)[2] * -0.02, [face + np.eye(8)[0] * 0.4 for face in faces]
-    as_it_is = _score_of(np.vstack((lower, *faces)), known)
-    assert as_it_is > _score_of(np.vstack((floor, *elsewhere)), known) + 0.2
+    assert _score_of(np.vstack((lower, *faces)), known) > _score_of(np.vstack((floor, *elsewhere)), known) + 0.2
 
 
 def _score_of(seen: np.ndarray, known: LocalMap) -> float:
     """Score of a scan where it stands, not where it would come to rest."""
-    held = Expected(np.eye(4), 1e12 * np.eye(6))
-    return align(scan(seen), known, [np.eye(4)], held).score
+    return align(scan(seen), known, [np.eye(4)], Expected(np.eye(4), 1e12 * np.eye(6))).score
 
 
 def elements(rng: np.random.Generator, sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -138,10 +134,8 @@ def test_residuals_have_the_derivative_that_they_say() -> None:
     reach = np.full(len(seen), 0.3)
     here = Residuals.of(Correspondences(with_widths(seen), known), motion, reach)
     for k in range(6):
-        step = 1e-6 * np.eye(6)[k]
-        there = Residuals.of(
-            Correspondences(with_widths(seen), known), motion @ gtsam.Pose3.Expmap(step).matrix(), reach
-        )
+        step = gtsam.Pose3.Expmap(1e-6 * np.eye(6)[k]).matrix()
+        there = Residuals.of(Correspondences(with_widths(seen), known), motion @ step, reach)
         np.testing.assert_array_equal(there.index, here.index)
         np.testing.assert_allclose((there.off - here.off) / 1e-6, here.jacobian[:, k], atol=1e-4)
 
@@ -176,8 +170,7 @@ def corridor(world_T_body: np.ndarray, *, end_m: float = np.inf) -> Scan:
     normals, d = np.vstack([np.eye(3), -np.eye(3)])[[1, 4, 2, 5, 3]], np.array([-1.0, -1.0, 0.0, -2.5, -end_m])
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.where(rays @ normals.T < 0.0, (d - eye @ normals.T) / (rays @ normals.T), np.inf)
-    first = reach.argmin(axis=1)
-    seen = reach.min(axis=1) < 5.0
+    first, seen = reach.argmin(axis=1), reach.min(axis=1) < 5.0
     points = eye + reach.min(axis=1)[seen, None] * rays[seen]
     rows = np.column_stack((points, normals[first[seen]], np.full(seen.sum(), 0.003), np.zeros(seen.sum())))
     return scan(moved(rows, inverse(world_T_body)), EYE)
@@ -188,9 +181,9 @@ def ahead(metres: float, turn: float = 0.0) -> np.ndarray:
 
 
 def test_nothing_is_seen_through_from_the_true_place_wherever_the_sensor_sits() -> None:
+    known = LocalMap([(np.eye(4), corridor(np.eye(4)))])
     for metres, turn in ((0.25, 0.0), (0.5, 0.0), (1.25, 0.0), (0.25, 0.4)):
         seen = corridor(ahead(metres, turn))
-        known = LocalMap([(np.eye(4), corridor(np.eye(4)))])
         assert known.contradicted(ahead(metres, turn), seen.elements[:, :3], 100.0, seen) < 0.015
 
 
@@ -205,9 +198,7 @@ def test_somebody_close_by_speaks_against_a_place_as_one_thing(metres: float) ->
         facing = np.tile((-1.0, 0.0, 0.0, 0.003, ON_NO_PLANE), (len(points), 1))
         seen = np.vstack((behind.elements, with_widths(np.hstack((points, facing)))))
         told.append(empty.contradicted(ahead(metres), points, 100.0, scan(seen, EYE)))
-    assert len(body) > 0.25 * len(behind.elements)
-    assert told[0] == pytest.approx(0.01)
-    assert told[1] >= 0.04
+    assert len(body) > 0.25 * len(behind.elements) and told[0] == pytest.approx(0.01) and told[1] >= 0.04
 
 
 def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
@@ -219,8 +210,7 @@ def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
 
 
 def test_along_what_the_returns_leave_open_a_scan_stays_where_it_is_expected() -> None:
-    seen, known = corridor(ahead(0.5)), LocalMap([(np.eye(4), corridor(np.eye(4)))])
-    guess = ahead(0.6)
+    seen, known, guess = corridor(ahead(0.5)), LocalMap([(np.eye(4), corridor(np.eye(4)))]), ahead(0.6)
     guess[1, 3] = 0.1
     expected = Expected(guess, np.diag(np.repeat([0.2, 0.3], 3) ** -2.0))
     for start in (guess, np.eye(4)):
@@ -229,14 +219,11 @@ def test_along_what_the_returns_leave_open_a_scan_stays_where_it_is_expected() -
 
 
 def test_elements_are_told_by_the_planes_that_they_lie_on() -> None:
-    rng = np.random.default_rng(4)
-    seen = measured(FIRST, rng)
+    seen = measured(FIRST, np.random.default_rng(4))
     assert seen.surfaces is not None
     on_plane = seen.surfaces[:, 7] == ON_PLANE
     np.testing.assert_array_equal(_on(seen.surfaces, seen.observations), on_plane)
-    first = _on(seen.surfaces, seen.observations[:1])
-    assert 0 < first.sum() < on_plane.sum()
-    assert not _on(seen.surfaces, []).any()
+    assert 0 < _on(seen.surfaces, seen.observations[:1]).sum() < on_plane.sum() and not _on(seen.surfaces, []).any()
 
 
 @pytest.mark.parametrize("seed", range(3, 7))
@@ -284,15 +271,13 @@ def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None
 
 def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
     sight = pillared(0.0)
-    wall = np.array([[1.0, 5.0, 1.05, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
-    wall[:, 2] -= 1.2
+    wall = np.array([[1.0, 5.0, -0.15, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
     before, away, edge = wall.copy(), wall.copy(), wall.copy()
     before[:, 1] -= 0.2
     away[:, 3:6] = 0.0, 1.0, 0.0
     edge[:, 7] = ON_EDGE
-    np.testing.assert_allclose(
-        sight.off_surfaces(with_widths(np.vstack((wall, before, away, edge)))), (0.0, 0.2, np.inf, np.inf), atol=1e-9
-    )
+    off_by = sight.off_surfaces(with_widths(np.vstack((wall, before, away, edge))))
+    np.testing.assert_allclose(off_by, (0.0, 0.2, np.inf, np.inf), atol=1e-9)
 
 
 def test_of_places_that_fit_alike_the_expected_one_is_taken_and_the_other_is_named() -> None:
@@ -300,27 +285,20 @@ def test_of_places_that_fit_alike_the_expected_one_is_taken_and_the_other_is_nam
     seen, known = pillared(0.0, pillars=0), LocalMap([(np.eye(4), pillared(0.0, pillars=0))])
     heel = ahead(0.0, np.pi)
     for start, other in ((np.eye(4), heel), (heel, np.eye(4))):
-        expected = Expected(start, np.diag(np.repeat([0.5, 1.0], 3) ** -2.0))
-        found = align(seen, known, [other, start], expected)
+        found = align(seen, known, [other, start], Expected(start, np.diag(np.repeat([0.5, 1.0], 3) ** -2.0)))
         np.testing.assert_allclose(found.known_T_seen, start, atol=1e-6)
         first, second = found.tried
-        assert first.log_likelihood - second.log_likelihood == pytest.approx(
-            negative_log_prior(heel, (1.0, 0.5)), abs=0.2
-        )
+        likelier_by = first.log_likelihood - second.log_likelihood
+        assert likelier_by == pytest.approx(negative_log_prior(heel, (1.0, 0.5)), abs=0.2)
 
 
 def test_rivals_are_other_places_and_each_counts_once() -> None:
     found = align(pillared(0.0), LocalMap([(np.eye(4), pillared(0.0))]), [np.eye(4)])
-    best = found.tried[0].log_likelihood
-    off = [
-        Tried(ahead(5.0), best - np.log(4.0)),
-        Tried(ahead(5.001), best - np.log(4.0)),
-        Tried(ahead(0.0, 3.0), -np.inf),
-    ]
-    near = Tried(ahead(0.01), best - 0.1)
-    covariance = np.diag(np.repeat([0.02, 0.004], 3) ** 2)
-    rivals = _rivals(replace(found, tried=(found.tried[0], near, *off)), covariance)
+    first, best = found.tried[0], found.tried[0].log_likelihood
+    off = [Tried(ahead(metres), best - np.log(4.0)) for metres in (5.0, 5.001)] + [Tried(ahead(0.0, 3.0), -np.inf)]
+    near, covariance = Tried(ahead(0.01), best - 0.1), np.diag(np.repeat([0.02, 0.004], 3) ** 2)
+    rivals = _rivals(replace(found, tried=(first, near, *off)), covariance)
     assert rivals == pytest.approx((0.2, 5.0, 0.0), abs=1e-6)
     wide = np.diag([9.0, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # along an open direction a place is one, however long
-    assert _rivals(replace(found, tried=(found.tried[0], near, *off)), wide).probability == 0.0
-    assert _rivals(replace(found, tried=(found.tried[0], near)), covariance) == NO_RIVALS
+    assert _rivals(replace(found, tried=(first, near, *off)), wide).probability == 0.0
+    assert _rivals(replace(found, tried=(first, near)), covariance) == NO_RIVALS

@@ -166,8 +166,7 @@ def test_a_silent_sensor_is_named(room: Mission):
     (sentence,) = silences(without(room.log, HORIZONTAL, after_ns=stamps[3]), room.rig)
     assert sentence.startswith(f"sensor '{HORIZONTAL}' is silent for") and "to the end" in sentence
     run = run_slam(never, room.rig, SlamConfig())
-    assert len(run.trajectory) > 2
-    assert any("is silent" in one for one in warnings_of(run))
+    assert len(run.trajectory) > 2 and any("is silent" in one for one in warnings_of(run))
     assert all(isinstance(scan, LaserScan) for scan in never.scans())
 
 
@@ -188,5 +187,4 @@ def test_nothing_in_a_name_steers_the_terminal(tmp_path: Path, capsys: pytest.Ca
     evil = tmp_path / "a\x1b[2J\x1b]0;owned\x07[red]\u202egol.clf"
     evil.write_text("FLASER 3 1 2 3 0 0 0 0 0 0 1 host 1\nX\x1b[31mODOM 1\n")
     said = refused(capsys, "slam", evil, "--out", tmp_path / "out")
-    assert not any(character in said for character in "\x1b\x07\u202e")
-    assert "\\x1b[2J" in said and "[red]" in said
+    assert not any(character in said for character in "\x1b\x07\u202e") and "\\x1b[2J" in said and "[red]" in said

@@ -45,8 +45,7 @@ def test_planes_of_a_room(room: Path, capsys: pytest.CaptureFixture[str]):
     answer = json.loads(out)
     # 1 cm along the beams is less along the normals, on slanted walls the most
     assert 0.007 < answer["sigma_m"] < 0.0105 and answer["sigma_note"].startswith("measured")
-    assert answer["octave_sigma_m"] < 0.0005 and answer["warnings"] == []
-    assert len(answer["planes"]) == 6
+    assert answer["octave_sigma_m"] < 0.0005 and answer["warnings"] == [] and len(answer["planes"]) == 6
     for plane in answer["planes"]:
         normal, d = HERE[:3, :3] @ plane["normal"], plane["d"] + (HERE[:3, :3] @ plane["normal"]) @ HERE[:3, 3]
         assert abs(d + ROOM[int(np.abs(normal).argmax())]) < 5.0 * plane["sigma_d_m"] + 0.002
@@ -119,8 +118,7 @@ def test_an_unordered_camera_cloud_keeps_the_middle_of_the_wall():
     points = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3) * 2.0
     points += np.random.default_rng(5).normal(0.0, 0.002, points.shape)
     found = fit_cloud(Cloud(points[np.random.default_rng(6).permutation(len(points))]), Path("x"), sigma_m=0.004)
-    assert len(found.at_least(500).planes) == 1
-    assert found.counts.on_planes > 0.99 * len(points)
+    assert len(found.at_least(500).planes) == 1 and found.counts.on_planes > 0.99 * len(points)
     middle = np.hypot(found.points[:, 0], found.points[:, 1]) < 0.2
     assert middle.sum() > 400 and (found.labels[middle] == 0).mean() > 0.99
     assert found.planes[0].outline.area == pytest.approx(2.2 * 1.68, rel=0.05)

@@ -37,23 +37,19 @@ def test_the_audit_finds_the_covariances_honest(intel):
 def test_the_intel_log_keeps_its_relations(intel):
     """Those of its 97 verified relations; a grid particle filter has 0.036 m and 0.56 deg over all of them."""
     errors = relation_errors(intel.trajectory, read_relations(needs("intel/intel.relations.gz")))
-    assert errors.translation_m.size == 22
-    assert errors.translation_m.mean() < 0.03
-    assert np.rad2deg(errors.rotation_rad).mean() < 0.6
-    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.04
+    assert errors.translation_m.size == 22 and errors.translation_m.mean() < 0.03
+    assert np.rad2deg(errors.rotation_rad).mean() < 0.6 and np.sqrt(np.mean(errors.translation_m**2)) < 0.04
 
 
 def test_no_part_of_the_intel_log_is_lost(intel):
     """Against the corrected poses of a particle filter, which themselves are 4 cm off the relations."""
     errors = absolute_error(intel.trajectory, read_tum(needs("intel/reference.tum")), alignment="se2")
-    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.25
-    assert errors.translation_m.max() < 0.8
+    assert np.sqrt(np.mean(errors.translation_m**2)) < 0.25 and errors.translation_m.max() < 0.8
 
 
 def test_few_walls_of_the_intel_log_are_double(intel):
     n_walls, length = metres_of_wall(intel.planes)
-    assert length > 150.0
-    assert n_walls / length < 0.6
+    assert length > 150.0 and n_walls / length < 0.6
 
 
 def test_the_wheels_curvature_is_learnt(intel):

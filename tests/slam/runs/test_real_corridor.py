@@ -48,10 +48,8 @@ def test_height_and_width_of_the_corridor(run: Run):
     """The README of the data: 2.42 m and 2.39 m. Distances are sums of Hesse distances from the first scan."""
     floor, ceiling = largest(run, [0.0, 0.0, 1.0], (0.2, 0.6)), largest(run, [0.0, 0.0, -1.0], (1.8, 2.2))
     right, left = largest(run, [0.0, 1.0, 0.0], (0.8, 1.1)), largest(run, [0.0, -1.0, 0.0], (1.2, 1.6))
-    assert abs(-floor.plane.d - ceiling.plane.d - 2.42) < 0.02
-    assert angle_deg(floor, ceiling) < 0.5
-    assert abs(-right.plane.d - left.plane.d - 2.39) < 0.02
-    assert angle_deg(right, left) < 0.5
+    assert abs(-floor.plane.d - ceiling.plane.d - 2.42) < 0.02 and angle_deg(floor, ceiling) < 0.5
+    assert abs(-right.plane.d - left.plane.d - 2.39) < 0.02 and angle_deg(right, left) < 0.5
 
 
 def test_poses_are_as_near_to_a_registration_as_two_registrations_are_to_each_other(run: Run):

@@ -29,8 +29,7 @@ def mapped(name: str, *, repair: bool = True) -> Run:
 def assert_honest(slam: PlaneSlam, least: int) -> None:
     """The audit of at least so many measurements finds their covariances right; not too small."""
     (row,) = slam.audit.summary()
-    assert row.kind == "line" and row.count > least
-    assert row.verdict != "over-confident"
+    assert row.kind == "line" and row.count > least and row.verdict != "over-confident"
     assert row.mean_per_dof > 0.3  # the default rig states 15 mm, more than these lasers have
 
 
@@ -60,8 +59,7 @@ def test_the_corridor_loop_closes(corridors):
         for landmark in corridors.landmarks
         if landmark.sightings[0].keyframe < FIRST and landmark.sightings[-1].keyframe > LAST
     ]
-    assert again
-    assert max(abs(corridors.landmarks.placed(landmark.id).normal[1]) for landmark in again) > 0.9
+    assert again and max(abs(corridors.landmarks.placed(landmark.id).normal[1]) for landmark in again) > 0.9
 
 
 def test_odometry_alone_misses_the_start_corridor(loop5):
@@ -80,9 +78,7 @@ def test_the_corridors_are_square_and_few_walls_are_double(corridors):
     angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) * 4.0
     mean = np.rad2deg(np.angle(np.exp(1j * np.deg2rad(angles)).mean()))
     spread = np.abs((angles - mean + 180.0) % 360.0 - 180.0) / 4.0
-    assert len(long) >= 5
-    assert spread.max() < 5.0
-    assert len(corridors.landmarks) <= 50
+    assert len(long) >= 5 and spread.max() < 5.0 and len(corridors.landmarks) <= 50
 
 
 def test_the_audit_finds_the_covariances_honest(corridors):

@@ -90,8 +90,7 @@ def errors(slam: PlaneSlam, truth: Drive) -> np.ndarray:
 def test_a_false_loop_is_found_and_the_drive_mapped_without_it(mended, truth: Drive):
     out, _, before, told, _ = mended
     [repair] = out.repairs
-    assert before > 0.5 and errors(out.slam, truth).max() < 0.05
-    assert out.verdict.verdict == "sound"
+    assert before > 0.5 and errors(out.slam, truth).max() < 0.05 and out.verdict.verdict == "sound"
     assert repair.before.startswith("the map is broken") and repair.moved >= 1 and repair.offset_m > 0.1
     assert f"{repair.moved} of {repair.places} places" in repair.sentence
     assert told[-1] == (len(out.slam.keyframes), len(out.slam.keyframes))
@@ -192,8 +191,7 @@ def test_a_start_that_was_found_is_told_from_a_damaged_one_and_is_salvaged(mispl
     saved = damaged(path, tmp_path / "saved.db", "keyframes", "id = 20")
     salvage_session(saved)
     with PlaneSlam.open(saved, read_only=True) as again, PlaneSlam.open(path, read_only=True) as whole:
-        assert len(again.keyframes) == 20
-        assert np.array_equal(again.prior.world_T_start, whole.prior.world_T_start)
+        assert len(again.keyframes) == 20 and np.array_equal(again.prior.world_T_start, whole.prior.world_T_start)
 
 
 @pytest.mark.parametrize(("name", "asks"), [("office/level/good/prior", 0), ("office/lidar16/good/prior_elsewhere", 1)])
@@ -204,8 +202,7 @@ def test_a_right_start_is_kept_and_in_another_building_there_is_none(
     monkeypatch.setattr(PlaneSlam, "remap", lambda slam, *args: asked.append(args[1]) or remap(slam, *args))
     drive = corpus.make_drive(corpus.Recipe.parse(name), 130035)
     run = run_slam(drive.log, drive.rig, SlamConfig(), slam=PlaneSlam(SlamConfig(), prior=drive.prior))
-    assert run.repairs == () and asked == [None] * asks
-    assert (run.verdict.verdict == "sound") is (asks == 0)
+    assert run.repairs == () and asked == [None] * asks and (run.verdict.verdict == "sound") is (asks == 0)
 
 
 def test_places_that_a_user_knows_close_a_loop(frames: list[Keyframe], truth: Drive):

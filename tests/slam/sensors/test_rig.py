@@ -37,8 +37,7 @@ def from_text(tmp_path, text):
 
 def test_a_rig_from_a_file(tmp_path):
     rig = from_text(tmp_path, GOOD)
-    assert list(rig.sensors) == ["front", "up"]
-    assert list(rig.of_kind("slice")) == ["up"] and rig.of_kind("cloud") == {}
+    assert list(rig.sensors) == ["front", "up"] and list(rig.of_kind("slice")) == ["up"] and rig.of_kind("cloud") == {}
     assert rig.name_of_record("FLASER") == "front" and rig.name_of_record("up") == "up"
     assert rig.name_of_record("ROBOTLASER1") is None
     np.testing.assert_array_equal(rig.sensors["front"].body_T_sensor, np.eye(4))
@@ -52,13 +51,11 @@ def test_a_rig_round_trips(tmp_path, rig):
 
 
 def test_mount_angles():
-    yaw = Mount(rpy_deg=(0.0, 0.0, 90.0)).as_matrix()[:3, :3]
-    pitch = Mount(rpy_deg=(0.0, 90.0, 0.0)).as_matrix()[:3, :3]
-    roll = Mount(rpy_deg=(90.0, 0.0, 0.0)).as_matrix()[:3, :3]
+    rpys_deg = ((90.0, 0.0, 0.0), (0.0, 90.0, 0.0), (0.0, 0.0, 90.0), (90.0, 0.0, 90.0))
+    roll, pitch, yaw, both = (Mount(rpy_deg=rpy_deg).as_matrix()[:3, :3] for rpy_deg in rpys_deg)
     np.testing.assert_allclose(yaw @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(pitch @ [1, 0, 0], [0, 0, -1], atol=1e-15)
     np.testing.assert_allclose(roll @ [0, 1, 0], [0, 0, 1], atol=1e-15)
-    both = Mount(rpy_deg=(90.0, 0.0, 90.0)).as_matrix()[:3, :3]
     np.testing.assert_allclose(both, yaw @ roll, atol=1e-15)
 
 
@@ -161,18 +158,16 @@ def lines_of_a_room() -> np.ndarray:
 
 
 def tilt_sigma_of(folder: Path) -> float:
-    _, rig = load(folder)
-    (sensor,) = rig.sensors.values()
+    (sensor,) = load(folder)[1].sensors.values()
     return sensor.plane_sigma_rad
 
 
 def test_angles_of_a_turned_laser_are_trusted_less_than_those_of_a_spinning_one(tmp_path: Path):
-    points = lines_of_a_room()
-    in_order, mixed = tmp_path / "lines", tmp_path / "mixed"
+    points, in_order, mixed = lines_of_a_room(), tmp_path / "lines", tmp_path / "mixed"
     for folder, cloud in ((in_order, points), (mixed, np.random.default_rng(0).permutation(points))):
         folder.mkdir()
-        np.save(folder / "0.npy", cloud)
-        np.save(folder / "1.npy", cloud)
+        for number in range(2):
+            np.save(folder / f"{number}.npy", cloud)
     assert tilt_sigma_of(in_order) > 3.0 * tilt_sigma_of(mixed) > 0.0
 
 

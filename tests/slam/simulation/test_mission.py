@@ -71,16 +71,10 @@ UNCALIBRATED = OdometryNoise(scale_sigma=0.03, curvature_sigma_rad_per_m=0.02)
 def test_odometry_errs_as_the_noise_model_says(noise, scale):
     """NEES of the motion over a curved way, for one covariance of the whole chain and steps of any length."""
     path = Path.rounded([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (4.0, 2.0)], 0.8)
-    way = np.linspace(0.0, path.length_m, 8 * scale + 1)
-    true = path.at(way)
-    rng = np.random.default_rng(11)
-    errors = []
-    for _ in range(600):
-        drifted = drifting_odometry(true, noise, rng)
-        errors.append(drifted[-1] - true[-1])
+    true, rng = path.at(np.linspace(0.0, path.length_m, 8 * scale + 1)), np.random.default_rng(11)
+    errors = np.array([drifting_odometry(true, noise, rng)[-1] - true[-1] for _ in range(600)])
     _, covariance = noise.accumulate(relative_motions(true))
-    values = nees(np.array(errors), np.tile(covariance, (len(errors), 1, 1)))
-    assert_mean_in_band(values, 3, level=0.999)
+    assert_mean_in_band(nees(errors, np.tile(covariance, (len(errors), 1, 1))), 3, level=0.999)
 
 
 @pytest.mark.parametrize("rig", [paper_rig(), spinning_rig()], ids=["paper", "spinning"])
@@ -93,8 +87,7 @@ def test_a_rig_states_no_motion_off_the_floor_that_is_not_simulated(mission, rig
 
 
 def test_localisation_errs_below_a_centimetre_and_is_correlated_along_the_way():
-    noise = LocalisationNoise()
-    way = np.arange(200_000) * 0.027
+    noise, way = LocalisationNoise(), np.arange(200_000) * 0.027
     errors = localised_poses(np.zeros((way.size, 3)), way, noise, np.random.default_rng(2))
     independent = errors[:: int(4.0 * noise.correlation_length_m / 0.027)]
     assert_mean_in_band(nees(independent, np.tile(noise.covariance(), (len(independent), 1, 1))), 3, level=0.999)
@@ -108,15 +101,13 @@ def test_a_sensor_quantises_and_loses_what_is_too_near_or_too_far():
     sensor = Sensor(kind="line", range_sigma_m=1e-9, quantisation_m=0.01, range_min_m=0.3, range_max_m=8.0)
     read = noisy_ranges(np.array([1.2345, 7.994, 7.996, 12.0, np.inf, 0.2]), sensor, np.random.default_rng(0))
     np.testing.assert_allclose(read[:2], [1.23, 7.99], atol=1e-12)
-    assert np.isnan(read[2:]).all()
-    assert sensor.range_variance_m2 == pytest.approx(1e-18 + 0.01**2 / 12.0)
+    assert np.isnan(read[2:]).all() and sensor.range_variance_m2 == pytest.approx(1e-18 + 0.01**2 / 12.0)
 
 
 def test_the_office_ring_closes_and_drifts():
     short = simulate_mission("office", seed=1, spacing_m=0.2)
     positions = short.truth.world_T_body[:, :2, 3]
-    length = np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()
-    assert 79.0 < length < 82.0
+    assert 79.0 < np.linalg.norm(np.diff(positions, axis=0), axis=1).sum() < 82.0
     np.testing.assert_allclose(positions[-1], [2.0, 0.0], atol=0.2)
     odometry = np.array([reading.odom_T_body[:2, 3] for reading in short.log.odometry])
     assert np.linalg.norm(odometry - positions, axis=1).max() > 0.5
@@ -143,8 +134,7 @@ def test_a_mission_on_disk_is_the_same_mission(tmp_path):
     ]  # fmt: skip
     rig = Rig.from_yaml(folder / "rig.yaml")
     assert rig == mission.rig
-    log = read_carmen(folder / "log.clf.gz", rig=rig)
-    assert_same_events(mission.log.events, log.events, atol=1e-14)
+    assert_same_events(mission.log.events, read_carmen(folder / "log.clf.gz", rig=rig).events, atol=1e-14)
     truth = Truth.read(folder / "truth")
     np.testing.assert_array_equal(truth.stamps_ns, mission.truth.stamps_ns)
     np.testing.assert_allclose(truth.world_T_body, mission.truth.world_T_body, atol=1e-14)
@@ -163,17 +153,15 @@ def test_a_mission_of_3d_scans_reads_back_from_disk(tmp_path):
     assert rig == mission.rig
     assert_same_events(mission.log.events, log.events, atol=1e-14)
     assert all(scan.world_T_body is None for scan in log.scans())
-    np.testing.assert_array_equal(
-        Truth.read(tmp_path / "hall" / "truth").labels[SPINNING], mission.truth.labels[SPINNING]
-    )
+    labels = Truth.read(tmp_path / "hall" / "truth").labels[SPINNING]
+    np.testing.assert_array_equal(labels, mission.truth.labels[SPINNING])
 
 
 def test_saving_is_all_or_nothing(tmp_path):
     mission = simulate_mission("room", n_scans=5)
     both = Rig(sensors={**paper_rig().sensors, **spinning_rig().sensors}, odometry=OdometryNoise())
-    with pytest.raises(
-        ValueError, match="expected scans of one 3D sensor, got those of horizontal, spinning, vertical"
-    ):
+    sentence = "expected scans of one 3D sensor, got those of horizontal, spinning, vertical"
+    with pytest.raises(ValueError, match=sentence):
         simulate_mission("hall", n_scans=2, rig=both).save(tmp_path / "cloud")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "mine").mkdir()
@@ -218,16 +206,14 @@ def test_a_path_whose_arcs_do_not_fit_is_refused():
 
 def with_sensor(name, **changes):
     rig = paper_rig()
-    sensor = rig.sensors[name].model_copy(update=changes)
-    return rig.model_copy(update={"sensors": {name: sensor}})
+    return rig.model_copy(update={"sensors": {name: rig.sensors[name].model_copy(update=changes)}})
 
 
 def test_bearing_noise_is_what_the_rig_says():
     """On a wall at distance d seen under an angle, a bearing error e moves the range by r tan(incidence) e."""
     sigma = 0.002
     rig = with_sensor(HORIZONTAL, bearing_sigma_rad=sigma, range_sigma_m=1e-9)
-    mission = simulate_mission("room", n_scans=200, rig=rig)
-    seen = beam_errors(mission, HORIZONTAL)
+    seen = beam_errors(simulate_mission("room", n_scans=200, rig=rig), HORIZONTAL)
     errors, cosine = seen.range_m, seen.cosine
     expected = np.linalg.norm(seen.points, axis=1) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine * sigma
     gentle = (expected > 1e-3) & (expected < 0.02)  # away from normal and from grazing incidence: first order holds

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import shapely
 
 from slam.simulation import WorldBuilder
 from slam.simulation.buildings import corridor, office
@@ -37,8 +38,7 @@ def wall_world(**options):
 )
 def test_range_to_a_rectangle(origin, ray, expected):
     distance, label = cast_one(wall_world(), origin, ray)
-    assert distance == pytest.approx(expected, abs=1e-12)
-    assert label == (0 if np.isfinite(expected) else -1)
+    assert distance == pytest.approx(expected, abs=1e-12) and label == (0 if np.isfinite(expected) else -1)
 
 
 @pytest.mark.parametrize(("y", "z", "hit"), [(0.5, 0.5, False), (-0.5, 0.5, True), (0.5, 2.5, True), (2.5, 1.0, True)])
@@ -54,14 +54,12 @@ def test_range_to_a_round_bar(offset):
     builder.add_bar((3.0, 0.0, 0.0), (3.0, 0.0, 2.0), 0.5)
     distance, label = cast_one(builder.build(), (0.0, offset, 1.0), (1, 0, 0))
     expected = 3.0 - np.sqrt(0.25 - offset**2) if offset < 0.5 else np.inf
-    assert distance == pytest.approx(expected, abs=1e-12)
-    assert label == -1
+    assert distance == pytest.approx(expected, abs=1e-12) and label == -1
 
 
 def test_a_box_shows_its_outside():
     builder = WorldBuilder()
-    labels = builder.add_box((1.0, 2.0, 0.0), (3.0, 5.0, 1.0), hidden=["z-"])
-    world = builder.build()
+    labels, world = builder.add_box((1.0, 2.0, 0.0), (3.0, 5.0, 1.0), hidden=["z-"]), builder.build()
     assert labels == [0, 1, 2, 3, 4]
     normals = {tuple(plane.normal.round(12) + 0.0) for plane in world.planes}
     assert normals == {(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, 1)}
@@ -91,22 +89,19 @@ def test_a_corridor_scan_agrees_with_linear_algebra():
 
 
 def test_leaving_out_what_a_scan_plane_cannot_meet_changes_nothing():
-    rng = np.random.default_rng(3)
-    world = office()
+    rng, world = np.random.default_rng(3), office()
     rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     rotation[:, 2] = np.cross(rotation[:, 0], rotation[:, 1])
     rays = beam_directions(np.linspace(-3.0, 3.0, 200)) @ rotation.T
     origin = np.array([[1.0, 0.2, 0.7]])
-    fast = world.cast(origin, rays[None], rotation[None, :, 2].copy())
-    full = world.cast(origin, rays[None], np.zeros((1, 3)))
-    np.testing.assert_array_equal(fast[0], full[0])
-    np.testing.assert_array_equal(fast[1], full[1])
+    fast, full = (world.cast(origin, rays[None], normal) for normal in (rotation[None, :, 2].copy(), np.zeros((1, 3))))
+    for one, other in zip(fast, full, strict=True):
+        np.testing.assert_array_equal(one, other)
     assert np.isfinite(full[0]).all()
 
 
 def test_worlds_are_closed():
-    rng = np.random.default_rng(5)
-    rays = rng.standard_normal((1, 4000, 3))
+    rays = np.random.default_rng(5).standard_normal((1, 4000, 3))
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     for world in (corridor(20.0), office()):
         ranges, _ = world.cast(np.array([[0.5, 0.0, 1.0]]), rays, np.zeros((1, 3)))
@@ -120,7 +115,5 @@ def test_no_two_true_planes_are_one(world):
         for b in world.planes[i + 1 :]:
             if a.normal @ b.normal > 1.0 - 1e-9 and abs(a.distance(b.centre)) < 1e-6:
                 mapped = np.array(b.outline.exterior.coords) @ b.frame[:3, :2].T + b.centre
-                from shapely import Polygon
-
-                other = Polygon((mapped - a.centre) @ a.frame[:3, :2])
+                other = shapely.Polygon((mapped - a.centre) @ a.frame[:3, :2])
                 assert a.outline.distance(other) > 0.01

@@ -69,17 +69,12 @@ def test_what_steps_share_is_in_the_covariances_exactly() -> None:
             (step,) = [one for one in made.steps if {pose_symbol(one.before), pose_symbol(one.keyframe)} == set(keys)]
             jacobian, target = factor.jacobian()
             blocks = dict(zip(keys, (jacobian[:, :6], jacobian[:, 6:]), strict=True))
-            by_errors = np.zeros((6, 2))
-            turn = step.motion.a_T_b[:2, :2].T
-            by_errors[[3, 4]], by_errors[2] = turn @ step.motion.response[:2], step.motion.response[2]
-            end = blocks[pose_symbol(step.keyframe)]
-            factor = gtsam.JacobianFactor(
-                *(part for key in keys for part in (key, blocks[key])),
-                unknown,
-                -end @ by_errors,
-                target,
-                gtsam.noiseModel.Unit.Create(len(target)),
-            )
+            by_errors, response = np.zeros((6, 2)), step.motion.response
+            by_errors[[3, 4]], by_errors[2] = step.motion.a_T_b[:2, :2].T @ response[:2], response[2]
+            ends = [part for key in keys for part in (key, blocks[key])]
+            by_errors = -blocks[pose_symbol(step.keyframe)] @ by_errors
+            noise = gtsam.noiseModel.Unit.Create(len(target))
+            factor = gtsam.JacobianFactor(*ends, unknown, by_errors, target, noise)
         whole.push_back(factor)
     prior = np.diag(1.0 / np.sqrt(np.diag(unknown_at_first(made.steps[0].motion))))
     whole.push_back(gtsam.JacobianFactor(unknown, prior, np.zeros(2), gtsam.noiseModel.Unit.Create(2)))
@@ -88,14 +83,13 @@ def test_what_steps_share_is_in_the_covariances_exactly() -> None:
     for key in keys:
         order.push_back(key)
     exact = np.linalg.inv(whole.marginal(keys).hessian(order)[0])
-    read = backend.read_joint_covariance(keys).full
     sigmas = np.sqrt(np.diag(exact))
-    np.testing.assert_allclose(read / np.outer(sigmas, sigmas), exact / np.outer(sigmas, sigmas), atol=5e-3)
+    scale = np.outer(sigmas, sigmas)
+    np.testing.assert_allclose(backend.read_joint_covariance(keys).full / scale, exact / scale, atol=5e-3)
     blind = backend.read_joint_covariance(keys, shared=False).full
     assert exact[16, 16] > 1.5 * blind[16, 16]  # across the way, far from what was seen: it does matter
-    np.testing.assert_allclose(
-        backend.read_covariance(keys[1]), backend.read_joint_covariance([keys[1]]).full, rtol=1e-6
-    )
+    alone = backend.read_joint_covariance([keys[1]]).full
+    np.testing.assert_allclose(backend.read_covariance(keys[1]), alone, rtol=1e-6)
 
 
 def test_poses_far_from_what_was_seen_are_honest() -> None:
@@ -108,10 +102,8 @@ def test_poses_far_from_what_was_seen_are_honest() -> None:
         made = calibrated(chain(rng, errors, until=31))
         key = pose_symbol(len(made.true) - 1)
         off = planar_delta(inverse(made.backend.pose(key)) @ made.true[-1])
-        for covariance, into in (
-            (made.backend.read_covariance(key), nees),
-            (made.backend.read_joint_covariance([key], shared=False).full, blind),
-        ):
+        told, without = made.backend.read_covariance(key), made.backend.read_joint_covariance([key], shared=False).full
+        for covariance, into in ((told, nees), (without, blind)):
             into.append(off @ np.linalg.solve(covariance[np.ix_([3, 4, 2], [3, 4, 2])], off))
     assert_mean_in_band(np.array(nees), 3)
     assert np.mean(blind) > 4.5
@@ -149,16 +141,14 @@ def test_what_the_graph_found_stays_until_it_is_asked_again() -> None:
 
 def test_the_response_of_a_motion_in_space_and_of_motions_in_a_row() -> None:
     """By differences: readings whose ways and turns err by a little, over a ramp."""
-    noise = OdometryNoise()
 
     def track(scale: float, curvature: float) -> OdometryTrack:
         pose, readings = np.eye(4), [OdometryReading(0, np.eye(4))]
         for k in range(1, 9):
             way, turn, pitch = 0.3 * (1.0 + scale), 0.05 + curvature * 0.3, -0.02 if k < 5 else 0.02
-            step = gtsam.Pose3(gtsam.Rot3.Ypr(turn, pitch, 0.0), np.array((way, 0.0, 0.0))).matrix()
-            pose = pose @ step
+            pose = pose @ gtsam.Pose3(gtsam.Rot3.Ypr(turn, pitch, 0.0), np.array((way, 0.0, 0.0))).matrix()
             readings.append(OdometryReading(k * 10**8, pose))
-        return OdometryTrack(readings, noise)
+        return OdometryTrack(readings, OdometryNoise())
 
     def ends(one: OdometryTrack) -> tuple[np.ndarray, np.ndarray]:
         return one.motion(0, 8 * 10**8), chained(one.motion(0, 4 * 10**8), one.motion(4 * 10**8, 8 * 10**8))
@@ -168,12 +158,11 @@ def test_the_response_of_a_motion_in_space_and_of_motions_in_a_row() -> None:
     np.testing.assert_allclose(parts.a_T_b, whole.a_T_b, atol=1e-12)
     np.testing.assert_allclose(parts.response, whole.response, atol=0.01)  # a ramp is a little longer than its plan
     for errors in ((0.01, 0.0), (0.0, 0.01)):
-        calibration = WheelCalibration()
+        calibration, erring = WheelCalibration(), ends(track(*errors))[0].a_T_b
         calibration.mean, calibration.covariance = np.array(errors), np.diag((1e-6, 1e-6))
         for motion in (whole, parts):
             moved = calibration.corrected(motion)
-            off = planar_delta(inverse(moved.a_T_b) @ ends(track(*errors))[0].a_T_b)
-            was = planar_delta(inverse(motion.a_T_b) @ ends(track(*errors))[0].a_T_b)
+            off, was = (planar_delta(inverse(one.a_T_b) @ erring) for one in (moved, motion))
             assert np.linalg.norm(off) < 0.12 * np.linalg.norm(was)
             np.testing.assert_array_equal(moved.covariance, motion.covariance)
 

@@ -31,9 +31,8 @@ def test_the_next_motion_errs_by_its_acceleration_and_as_the_motion_before(befor
     """Mean chi2 of 3,000 motions, the one before known along two directions better than along the others."""
     rng = np.random.default_rng(1)
     root = 0.03 * np.tril(rng.standard_normal((6, 6)))
-    rules = RULES.model_copy(
-        update={"acceleration_sigma_m_per_s2": 0.2, "turn_change_sigma_rad_per_s2": 0.14, "floor_rad": 0.001}
-    )
+    spread = {"acceleration_sigma_m_per_s2": 0.2, "turn_change_sigma_rad_per_s2": 0.14, "floor_rad": 0.001}
+    rules = RULES.model_copy(update=spread)
     sigmas = np.repeat([rules.acceleration_sigma_m_per_s2, rules.turn_change_sigma_rad_per_s2], 3) * ahead_s**2
     found, without = [], []
     for _ in range(N):

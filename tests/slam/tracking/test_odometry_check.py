@@ -74,9 +74,8 @@ def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_somet
     motion, on_planes = odometry(np.zeros(3)), elements_of(seen)
     across = SECOND[:3, :3].T @ (0.0, 1.0, 0.0)
     clutter = with_widths(np.array([(*point, *across, 0.01, ON_NO_PLANE) for point in np.eye(3)]))
-    assert (
-        planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE) is not None
-    )  # all returns leave it open as well
+    # all returns leave it open as well
+    assert planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE) is not None
     assert planes_confirm(motion, before, seen, np.vstack((on_planes, clutter)), SIGNIFICANCE) is None
 
 
@@ -92,17 +91,14 @@ def test_walls_across_the_way_that_find_no_partner_are_not_outvoted_by_those_alo
     """Off by as much as a board stands before a wall, the board is taken for the wall, and the wall for nothing."""
     off = 0.13
     before, seen = seen_twice([*hall(), wall((LONG - off, 0.0, 1.5), (-1.0, 0.0, 0.0), 2.0, 2.0)], 5)
-    elements, turn = elements_of(seen), SECOND[:2, :2]
-    ahead = np.array([*(turn.T @ (off, 0.0)), 0.0])
-    assert planes_confirm(odometry(ahead), before, seen, elements, SIGNIFICANCE) is None
-    assert planes_confirm(odometry(0.0 * ahead), before, seen, elements, SIGNIFICANCE) is not None
+    ahead = np.array([*(SECOND[:2, :2].T @ (off, 0.0)), 0.0])
+    assert planes_confirm(odometry(ahead), before, seen, elements_of(seen), SIGNIFICANCE) is None
+    assert planes_confirm(odometry(0.0 * ahead), before, seen, elements_of(seen), SIGNIFICANCE) is not None
 
 
 def test_returns_are_laid_on_what_was_seen_only_where_planes_do_not_confirm(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-    monkeypatch.setattr(
-        odometry_check, "local_map", lambda *given: asked.append(given) or relocalization.local_map(*given)
-    )
+    asked, ask = [], relocalization.local_map
+    monkeypatch.setattr(odometry_check, "local_map", lambda *given: asked.append(given) or ask(*given))
     before, seen = seen_twice(hall(), 4)
     for off, times in ((np.zeros(3), 0), (np.array([0.5, 0.0, 0.0]), 1)):
         asked.clear()
@@ -171,15 +167,13 @@ def test_odometry_that_jumps_is_found_out(
     """By what is seen, where its readings do not tell: of few, or where somebody has made two steps of the jump."""
     monkeypatch.setattr(odometry_readings, "_jumps", lambda stamps_ns, poses: np.zeros(0, dtype=np.int64))
     run, off = mapped_with_jump(make_drive(Recipe.parse(name), 612), every, jump)
-    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.01
-    assert run.slam.odometry_record.steps[6].check.against
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.01 and run.slam.odometry_record.steps[6].check.against
 
 
 @pytest.mark.parametrize("aside_m", [0.05, 0.07])
 def test_a_slip_of_a_few_sigmas_shifts_nothing(aside_m: float) -> None:
     """Its walls were taken for new ones, 53 and 72 mm beside those that they were: these planes spoke for it."""
-    drive = make_drive(Recipe.parse("irregular/lidar16/good"), 122001)
-    run, off = mapped_with_jump(drive, 1, (0.0, aside_m, 0.0))
+    run, off = mapped_with_jump(make_drive(Recipe.parse("irregular/lidar16/good"), 122001), 1, (0.0, aside_m, 0.0))
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.003
     assert not any(step.check.against for step in run.slam.odometry_record.steps)
 

@@ -36,8 +36,7 @@ def record_of(wrong: int, fine: int, expected: np.ndarray = AHEAD) -> OdometryRe
 def test_odometry_that_nothing_spoke_against_is_used_as_stated() -> None:
     record = record_of(0, 5)
     assert record.take(6, STILL, GUESS, GUESS, Check(False, NOWHERE)) is STILL
-    assert record.take(7, STILL, GUESS, GUESS, Check(False)) is STILL
-    assert record.believed() == []
+    assert record.take(7, STILL, GUESS, GUESS, Check(False)) is STILL and record.believed() == []
 
 
 def test_where_errors_would_have_been_told_it_is_used_as_stated_and_elsewhere_it_errs() -> None:
@@ -52,18 +51,15 @@ def test_where_errors_would_have_been_told_it_is_used_as_stated_and_elsewhere_it
 
 def test_errors_are_along_the_axes_of_the_end_and_covariances_of_motions_of_the_start() -> None:
     record = record_of(5, 0, expected=planar_transform(-0.25, 0.0, 0.0))
-    turned = replace(STILL, a_T_b=planar_transform(0.0, 0.0, np.pi / 2))
-    erring = record.take(6, turned, GUESS, GUESS, Check(False))
+    erring = record.take(6, replace(STILL, a_T_b=planar_transform(0.0, 0.0, np.pi / 2)), GUESS, GUESS, Check(False))
     assert erring.covariance[1, 1] == pytest.approx(0.25**2, rel=1e-4)
     assert erring.covariance[0, 0] == pytest.approx(1e-8, rel=1e-3)
 
 
 def test_an_assumption_that_was_nearer_takes_the_place_of_odometry_that_stands_still() -> None:
     record, expected = record_of(5, 0), replace(GUESS, a_T_b=AHEAD)
-    assert record.doubted
-    assert record.take(6, STILL, expected, GUESS, Check(False)) is expected
-    assert record.take(7, STILL, expected, GUESS, Check(True)) is expected
-    assert not record_of(0, 1).doubted
+    assert record.doubted and record.take(6, STILL, expected, GUESS, Check(False)) is expected
+    assert record.take(7, STILL, expected, GUESS, Check(True)) is expected and not record_of(0, 1).doubted
 
 
 def test_an_assumption_that_is_nearer_only_where_wheels_slip_takes_no_place_of_odometry() -> None:

@@ -24,9 +24,7 @@ GUESS = coast(None, 0.0, 0.5, CoastingConfig())
 
 def after(rng: np.random.Generator, motion: Motion, times: float, steps: int, *, slips: float = 0.0) -> float:
     """The factor after so many steps that err so many times as much as stated, a share of them at random."""
-    scale = OdometryScale()
-    covariance = scaled(motion, times).spatial + SCAN
-    wide = GUESS.spatial
+    scale, covariance, wide = OdometryScale(), scaled(motion, times).spatial + SCAN, GUESS.spatial
     for _ in range(steps):
         off = rng.multivariate_normal(np.zeros(6), wide if rng.random() < slips else covariance)
         scale.learn(motion, off, SCAN, GUESS)
@@ -40,24 +38,21 @@ def test_the_factor_is_found_in_sixty_steps(motion: Motion, times: float) -> Non
     # 60 steps of at least 3 errors tell a factor to 1 / sqrt(360); none below one is told from one. The mean of 16 is
     # known to 1.3 %, a third of what it may be off, their scatter to 18 %.
     found = np.array([after(rng, motion, times, 60) for _ in range(16)])
-    assert np.mean(found) == pytest.approx(times, rel=0.04)
-    assert np.std(found / times) < 1.5 / np.sqrt(360)
+    assert np.mean(found) == pytest.approx(times, rel=0.04) and np.std(found / times) < 1.5 / np.sqrt(360)
 
 
 def test_three_steps_tell_an_odometry_three_times_worse_than_stated_from_one_that_is_not() -> None:
     rng = np.random.default_rng(2)
     worse, honest = (np.array([after(rng, STEP, times, 3) for _ in range(100)]) for times in (3.0, 1.0))
-    assert np.quantile(worse, 0.1) > 1.7 > np.quantile(honest, 0.9)
-    assert OdometryScale().factor == 1.0
+    assert np.quantile(worse, 0.1) > 1.7 > np.quantile(honest, 0.9) and OdometryScale().factor == 1.0
 
 
 def test_slips_are_left_out_and_a_scan_that_knows_nothing_tells_nothing() -> None:
     rng = np.random.default_rng(3)
     assert np.mean([after(rng, STEP, 1.0, 60, slips=0.15) for _ in range(20)]) < 1.1
     assert np.mean([after(rng, STEP, 3.0, 60, slips=0.15) for _ in range(20)]) == pytest.approx(3.0, rel=0.1)
-    blind, sharp = OdometryScale(), OdometryScale()
+    off, blind, sharp = np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]), OdometryScale(), OdometryScale()
     for _ in range(30):
-        off = np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
         blind.learn(STEP, off, SCAN + np.diag([100.0, 0.0, 0.0, 0.0, 0.0, 0.0]), GUESS)
         sharp.learn(STEP, 0.2 * off, SCAN, GUESS)
     assert blind.factor < 1.1 < 3.0 < sharp.factor  # nothing was off where the scans tell
@@ -94,5 +89,4 @@ def test_a_scaled_motion_is_as_much_wider_and_leads_to_the_same_place() -> None:
 def test_a_lidar_with_odometry_three_times_worse_than_stated_maps_as_one_without_any() -> None:
     """Taken at its word, the poses were 7 to 30 cm off and half the planes in the map twice."""
     run, off = mapped_beginning("sloped/lidar32/worse3", 170024, 10)
-    assert np.abs(off[:, :3, 3]).max() < 0.005
-    assert 2.0 < run.slam.odometry_record.steps[-1].scale < 5.0
+    assert np.abs(off[:, :3, 3]).max() < 0.005 and 2.0 < run.slam.odometry_record.steps[-1].scale < 5.0

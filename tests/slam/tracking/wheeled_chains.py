@@ -27,24 +27,16 @@ class Chain:
     """A graph, and the truth."""
 
     backend: Backend
-    """The graph."""
-    steps: list[MeasuredStep]
-    """The odometry in it."""
-    true: FloatArray
-    """World poses (N, 4, 4)."""
+    steps: list[MeasuredStep]  # the odometry in it
+    true: FloatArray  # world poses (N, 4, 4)
 
 
 def chain(
     rng: np.random.Generator, errors: FloatArray, *, n_poses: int = 60, seen_every: int = 10, until: int | None = None
 ) -> Chain:
-    """Half a metre a step, turning; every so many poses are seen, up to one.
+    """Half a metre a step, turning; every so many poses are seen, none from one on.
 
-    Args:
-        rng: of noise and way.
-        errors: scale and curvature that take measured motions to true ones.
-        n_poses: how many.
-        seen_every: of so many one is seen.
-        until: none from here on.
+    `errors` are the scale and curvature that take measured motions to true ones.
     """
     backend, motions, indices, true = Backend(BackendConfig()), [], [], [np.eye(4)]
     factors, values, at = [], gtsam.Values(), np.eye(4)

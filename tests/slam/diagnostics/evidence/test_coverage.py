@@ -38,12 +38,11 @@ def driven(planes: list[Plane], *, odometry: bool, matched: bool = False) -> Pla
     rng, slam, sigmas = np.random.default_rng(0), PlaneSlam(), np.array([0.01, 0.01, 0.005])
     bodies = [body(1.0, 0.3 * k, 0.0) for k in range(10)]
     for k, world_T_body in enumerate(bodies):
-        motion = None
+        motion, step = None, inverse(bodies[k - 1]) @ world_T_body
         if odometry and k:
-            motion = Motion(inverse(bodies[k - 1]) @ world_T_body, np.diag(sigmas**2), (1e-3, 1e-3, 1e-3))
+            motion = Motion(step, np.diag(sigmas**2), (1e-3, 1e-3, 1e-3))
         if matched and k:
-            step, wide = inverse(bodies[k - 1]) @ world_T_body, np.diag((0.2, 0.2, 0.1)) ** 2
-            told = np.diag((30.0, 30.0, 0.01)) ** 2
+            wide, told = np.diag((0.2, 0.2, 0.1)) ** 2, np.diag((30.0, 30.0, 0.01)) ** 2
             motion = Motion(step, wide, (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=told)
         seen = [PlaneObservation(plane) for plane in measured(planes, world_T_body, rng)]
         slam.add_keyframe(Keyframe(k * 500_000_000, seen, motion))
@@ -85,12 +84,8 @@ def test_places_that_fit_as_well_are_counted_together() -> None:
 def test_a_loop_that_waits_to_the_end_elsewhere_than_the_map_has_it_is_told() -> None:
     def of(verdict: str, *deltas: tuple[float, float, float]) -> list[Evidence]:
         poses = np.stack([planar_transform(float(k), 0.0, 0.0) for k in range(3)])
-        loops = [
-            LoopDecision(
-                2, 0, verdict, (), 0.0, 0.0, proposal=Proposal(2, 0, PlanarPose(np.array(d), np.eye(3)), k, 2.0)
-            )
-            for k, d in enumerate(deltas)
-        ]
+        found = [Proposal(2, 0, PlanarPose(np.array(d), np.eye(3)), k, 2.0) for k, d in enumerate(deltas)]
+        loops = [LoopDecision(2, 0, verdict, (), 0.0, 0.0, proposal=one) for one in found]
         run = SimpleNamespace(loops=loops, trajectory=SimpleNamespace(poses=poses))
         return list(waiting_evidence(run))  # type: ignore[arg-type]
 
@@ -132,10 +127,8 @@ def test_from_its_true_pose_nothing_stops_a_ray_and_from_another_a_wall_does():
 def test_rays_of_a_slice_begin_where_the_body_was_when_it_passed(turn_rad: float, stopped_by: set[int]):
     """Of a wall beside the way a pillar hides what lies behind it from one place, not from beside it."""
     seen = wall((3.0, 3.0, 1.0), (0.0, -1.0, 0.0), 6.0, 2.0)
-    pillar, before = (
-        wall((2.0, 1.5, 1.0), (-1.0, 0.0, 0.0), 2.0, 2.0),
-        wall((3.0, 2.0, 1.0), (0.0, -1.0, 0.0), 6.0, 2.0),
-    )
+    pillar = wall((2.0, 1.5, 1.0), (-1.0, 0.0, 0.0), 2.0, 2.0)
+    before = wall((3.0, 2.0, 1.0), (0.0, -1.0, 0.0), 6.0, 2.0)
     walls, frames = surfaces_of([pillar, before]), [Keyframe(0, [PlaneObservation(seen)])]
     mount = Mount(xyz_m=(0.0, 0.0, 1.0), rpy_deg=(0.0, float(np.rad2deg(turn_rad)), 0.0))
     told = {"body_T_sensor": mount, "range_sigma_m": 0.01, "range_max_m": 30.0}

@@ -38,11 +38,10 @@ def standing(log: Log) -> Log:
 
 def turned(rig: Rig) -> Rig:
     """The rig with every sensor backwards."""
-    turn = Mount(rpy_deg=(0.0, 0.0, 180.0)).as_matrix()
-    sensors = {
-        name: one.model_copy(update={"mount": Mount(matrix=tuple(map(tuple, (one.body_T_sensor @ turn).tolist())))})
-        for name, one in rig.sensors.items()
-    }
+    turn, sensors = Mount(rpy_deg=(0.0, 0.0, 180.0)).as_matrix(), {}
+    for name, one in rig.sensors.items():
+        mount = Mount(matrix=tuple(map(tuple, (one.body_T_sensor @ turn).tolist())))
+        sensors[name] = one.model_copy(update={"mount": mount})
     return rig.model_copy(update={"sensors": sensors})
 
 
@@ -63,13 +62,11 @@ def test_scans_at_right_poses_are_no_evidence_and_a_jump_in_them_is(right: Run):
     """Nothing but what 3D scans see from one keyframe, against what others saw."""
     poses = right.slam.trajectory.poses
     views = scan_views_of(right.slam.keyframes, poses)
-    assert len(views) == len(poses)
-    assert list(free_space_evidence(views, poses)) == []
+    assert len(views) == len(poses) and list(free_space_evidence(views, poses)) == []
     bent = poses.copy()
     bent[8:] = planar_transform(-0.6, 0.4, 0.0) @ bent[8:]
     (found,) = free_space_evidence(views, bent)
-    assert found.p_value < 1e-4 and found.size > 0.15
-    assert min(found.keyframes) < 8 <= max(found.keyframes)
+    assert found.p_value < 1e-4 and found.size > 0.15 and min(found.keyframes) < 8 <= max(found.keyframes)
 
 
 def test_odometry_that_stands_still_is_refuted_by_the_scans_and_harms_nothing(right: Run):
@@ -94,20 +91,17 @@ def test_what_matches_nothing_is_no_sound_run():
 def test_a_3d_sensor_backwards_is_broken_and_named():
     log, rig = hall()
     verdict = assess_run(run_slam(log, turned(rig), SlamConfig()).slam, turned(rig))
-    assert verdict.verdict == "broken"
-    assert "mounted backwards" in verdict.reasons[0]
+    assert verdict.verdict == "broken" and "mounted backwards" in verdict.reasons[0]
     assert "nothing tells that from one mounted upside down" in verdict.reasons[0]  # a drive without turns
 
 
 def test_a_prior_map_is_confirmed_from_its_start_and_not_from_another(right: Run):
-    planes, slam = right.planes, right.slam
-    covariance = map_covariance(planes, slam.landmarks, slam.backend)
-    for start, word in ((np.eye(4), "sound"), (planar_transform(2.0, 1.0, 0.7), None)):
-        prior = PriorMap(planes, covariance, right.trajectory.poses[0] @ start, floor_start())
-        log, rig = hall(seed=4)
+    covariance = map_covariance(right.planes, right.slam.landmarks, right.slam.backend)
+    log, rig = hall(seed=4)
+    for start, is_right in ((np.eye(4), True), (planar_transform(2.0, 1.0, 0.7), False)):
+        prior = PriorMap(right.planes, covariance, right.trajectory.poses[0] @ start, floor_start())
         again = run_slam(log, rig, SlamConfig(), slam=PlaneSlam(SlamConfig(), prior=prior))
-        verdict = assess_run(again.slam, rig)
-        assert verdict.verdict == word or (word is None and verdict.verdict != "sound")
+        assert (assess_run(again.slam, rig).verdict == "sound") == is_right
 
 
 def test_too_few_keyframes_and_an_empty_map_are_doubtful():
@@ -128,16 +122,13 @@ def test_observations_that_match_nothing_leave_keyframes_to_odometry():
 
 
 def test_odometry_worse_than_stated_counts_where_the_poses_rest_on_it():
-    slam, rig = PlaneSlam(), hall()[1]
-    rng = np.random.default_rng(0)
+    slam, rig, rng = PlaneSlam(), hall()[1], np.random.default_rng(0)
     for index, keyframe in enumerate(drive(1, count=40, turns=3.0).keyframes):
         motion = keyframe.motion
         seen = keyframe.observations[2:4] if index else keyframe.observations  # two walls that face each other
         if motion is not None:
-            spread = np.linalg.cholesky(motion.covariance)
-            error = planar_transform(*(4.0 * spread @ rng.standard_normal(3)))
-            motion = replace(motion, a_T_b=motion.a_T_b @ error)
+            error = 4.0 * np.linalg.cholesky(motion.covariance) @ rng.standard_normal(3)
+            motion = replace(motion, a_T_b=motion.a_T_b @ planar_transform(*error))
         slam.add_keyframe(replace(keyframe, motion=motion, observations=seen))
-    verdict = assess_run(slam, rig)
-    (found,) = [one for one in verdict.evidence if one.kind == "odometry"]
+    (found,) = [one for one in assess_run(slam, rig).evidence if one.kind == "odometry"]
     assert 1.5 < found.size < 6.0 and "times as much as stated" in found.sentence

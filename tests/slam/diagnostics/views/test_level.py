@@ -40,20 +40,16 @@ def way(count: int) -> FloatArray:
 
 
 def keyframes(poses: FloatArray, mount: FloatArray | None = None, seed: int = 0) -> list[Keyframe]:
-    rng = np.random.default_rng(seed)
-    frames = []
+    rng, frames = np.random.default_rng(seed), []
     for k, pose in enumerate(poses):
-        motion = None
-        if k:
-            step = inverse(planar_transform(*poses[k - 1])) @ planar_transform(*pose)
-            motion = Motion(step, 1e-4 * np.eye(3), (1e-3, 1e-3, 1e-3))
+        step = inverse(planar_transform(*poses[k - 1])) @ planar_transform(*pose)
+        motion = Motion(step, 1e-4 * np.eye(3), (1e-3, 1e-3, 1e-3)) if k else None
         frames.append(Keyframe(k, [], motion, returns=beams(pose, rng, mount)))
     return frames
 
 
 def test_a_view_confirms_what_it_saw_and_says_nothing_of_what_is_hidden():
-    rng = np.random.default_rng(1)
-    here = View.of(beams(np.array([1.5, 2.5, 0.0]), rng))
+    here = View.of(beams(np.array([1.5, 2.5, 0.0]), np.random.default_rng(1)))
     at_wall, in_front, behind = np.array([[6.5, 0.0]]), np.array([[3.0, 0.0]]), np.array([[7.5, 0.0]])
     assert here.confirms(at_wall).all() and not here.sees_through(at_wall).any()
     assert here.sees_through(in_front).all() and not here.confirms(in_front).any()
@@ -61,34 +57,28 @@ def test_a_view_confirms_what_it_saw_and_says_nothing_of_what_is_hidden():
 
 
 def test_two_views_agree_at_their_true_poses_and_not_half_a_metre_off():
-    rng = np.random.default_rng(2)
-    first, second = np.array([1.5, 1.5, 0.2]), np.array([3.0, 2.5, 0.9])
+    rng, first, second = np.random.default_rng(2), np.array([1.5, 1.5, 0.2]), np.array([3.0, 2.5, 0.9])
     here, there = View.of(beams(first, rng)), View.of(beams(second, rng))
     here_T_there = inverse(planar_transform(*first)) @ planar_transform(*second)
     confirmed, through = compare(here, there, here_T_there)
     assert confirmed > 10 and through == 0
-    off = here_T_there @ planar_transform(-0.4, 0.3, 0.0)
-    assert compare(here, there, off)[1] > 3
+    assert compare(here, there, here_T_there @ planar_transform(-0.4, 0.3, 0.0))[1] > 3
 
 
 def test_right_poses_are_no_evidence_and_a_jump_in_them_is():
     poses = way(24)
-    frames, truth = keyframes(poses), np.array([planar_transform(*pose) for pose in poses])
-    views = views_of(frames)
+    views, truth = views_of(keyframes(poses)), np.array([planar_transform(*pose) for pose in poses])
     assert list(free_space_evidence(views, truth)) == []
     bent = truth.copy()
     bent[12:] = planar_transform(-0.3, 0.25, 0.0) @ bent[12:]
     (found,) = free_space_evidence(views, bent)
     assert found.p_value < 1e-4 and found.size > 0.2
-    assert min(found.keyframes) < 12 <= max(found.keyframes)
-    assert "go through surfaces" in found.sentence
+    assert min(found.keyframes) < 12 <= max(found.keyframes) and "go through surfaces" in found.sentence
 
 
 def test_every_keyframe_is_compared_with_other_stretches_of_the_way():
-    poses = np.array([planar_transform(0.5 * k, 0.0, 0.0) for k in range(10)] * 2)
-    pairs = pairs_of(range(20), poses)
-    assert all(one != other for one, other in pairs)
-    assert (0, 10) in pairs  # the same place, a lap later
+    pairs = pairs_of(range(20), np.array([planar_transform(0.5 * k, 0.0, 0.0) for k in range(10)] * 2))
+    assert all(one != other for one, other in pairs) and (0, 10) in pairs  # the same place, a lap later
 
 
 @pytest.mark.parametrize(
