@@ -1,7 +1,5 @@
 """The order of the tests, how often what is random is repeated, and what processes have that tests start."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What the statistical tests share: chi2 bands and central differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Docs that cannot rot: the Python of every page runs, pages are linked, and the rig's fields are all described."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every example runs, and what it prints is what it promises."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import runpy

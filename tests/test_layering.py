@@ -1,7 +1,5 @@
 """Imports point one way: between the packages, between the rooms of each, and never in a circle."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter

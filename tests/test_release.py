@@ -1,7 +1,5 @@
 """What `make release` looks for in a wheel and an sdist; what the core depends on is under permissive licences."""
 
-from __future__ import annotations
-
 import io
 import tarfile
 import tomllib

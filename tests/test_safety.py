@@ -1,7 +1,5 @@
 """What no source of ours may do: run what a file says, unpack archives by their members' names, go through a shell."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 By default a wheel with the kernels of one plane of moments alone, as quick as may be; `make wheel` gives a whole one.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A box on a floor as a depth camera sees it: two directions of planes, and edges that hold the third."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.config import SlamConfig

@@ -1,7 +1,5 @@
 """Floor plans for one level laser: corridors around a block, or walls of one's own, driven with bad wheels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A room of known planes, a robot that drives through it, and what it would see: measurements with their covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The beginning of a drive of the corpus, mapped once a process, and how far off the truth its keyframes are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Work by processes ahead of whoever takes its results: the same in order, whatever becomes of the processes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

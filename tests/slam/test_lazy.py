@@ -1,7 +1,5 @@
 """Sequences that only grow, and what waits on the disk: read as it was written, copied as what is in memory."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """PlaneSlam on a room with truth: consistent, associated right, incremental equals batch, its parts, refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

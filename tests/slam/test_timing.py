@@ -1,7 +1,5 @@
 """Stages of a run and the run as a whole, timed."""
 
-from __future__ import annotations
-
 from slam.timing import StageClock
 
 

@@ -1,7 +1,5 @@
 """Drives carry the noise that their names say, and truth that is of their scans."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import gtsam

@@ -1,7 +1,5 @@
 """Random buildings are closed, clear where the robot goes, hit where their true planes are; polygons by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

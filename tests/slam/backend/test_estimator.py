@@ -1,7 +1,5 @@
 """The back end: what is read of the map is what the estimate works with, and planes are linearised where they are."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """A verdict follows from its evidence: each kind has its share of the significance, the gravest comes first."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fleets on Dask: the same bits on any number of workers, workers that die, logs that nobody can read."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Scans that take time: every beam from its own place, against truth; a sweep that is not told shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laser odometry: how good its motions are, whether they err as they say, and what it makes of wheels that lie."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Planes as measurements: errors of surfaces that neighbours share, steps that averages show, sensors' limits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gtsam

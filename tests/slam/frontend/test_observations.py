@@ -1,7 +1,5 @@
 """Lines as planes: the covariance that a laser line gives to the plane through it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from factors.association.observations import LineObservation, PlaneObservation

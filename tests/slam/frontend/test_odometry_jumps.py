@@ -1,7 +1,5 @@
 """Odometry that begins anew, or is set to another place: the body went on as before, as surely as it does so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import accumulate
 

@@ -1,7 +1,5 @@
 """Measurements of a pose beside its planes: they reach the graph, the session, and leave with their keyframe."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

@@ -1,7 +1,5 @@
 """Push-broom windows: relative poses and their joint covariance against sampled odometry."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The noise that scans show: what is stated too small is raised to it, what is honest or more is left as it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Surface elements lie on the surfaces and edges that a camera saw, as sure as they say; kernels against numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.frontend._surface_kernels import jumps

@@ -1,7 +1,5 @@
 """Wheels that hang while a push-broom laser sees the robot drive on measure nothing, and standing robots stand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The velocity between stamped scans: NIS of predictions, what is forgotten, and how well a clock's noise is found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

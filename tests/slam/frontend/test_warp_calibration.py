@@ -1,7 +1,5 @@
 """The warp of a depth camera: found from planes where there is one, with its size; none where there is none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

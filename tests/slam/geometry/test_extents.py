@@ -1,7 +1,5 @@
 """A extent in tiles is the union of what it was grown by."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

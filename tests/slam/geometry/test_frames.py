@@ -1,7 +1,5 @@
 """Quaternions of files (one check for all readers) and the kernel that asks whether polygons come near."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

@@ -2,8 +2,6 @@
 own; and through simulated offices, short and with a level laser alone, so that they are quick.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

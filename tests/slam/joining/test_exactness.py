@@ -1,7 +1,5 @@
 """The condensed solution against one batch of all factors, by GTSAM; what ties mean, by central differences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

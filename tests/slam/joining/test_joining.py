@@ -1,7 +1,5 @@
 """Joined maps: honest about planes, poses and frames; what is not one is kept apart; what is not sure is not joined."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

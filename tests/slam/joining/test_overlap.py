@@ -1,7 +1,5 @@
 """Overlaps of simulated offices: one building is found again from elsewhere, different ones are kept apart."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

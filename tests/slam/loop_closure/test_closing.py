@@ -1,7 +1,5 @@
 """What a closed loop says of the way along a corridor leaves the graph again when the loop turns out to be none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

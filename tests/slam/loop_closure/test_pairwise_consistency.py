@@ -1,7 +1,5 @@
 """Proposed closures: those that agree with one another and the way between are closed together, and no others."""
 
-from __future__ import annotations
-
 from itertools import combinations, product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Proposals wait for others that agree; a closed loop is held against what is seen on the way on."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import gtsam

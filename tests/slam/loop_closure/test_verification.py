@@ -1,7 +1,5 @@
 """Loops: a place seen again after a drift beyond every gate is found by its walls; the wheels' errors are learnt."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

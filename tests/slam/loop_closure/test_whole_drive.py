@@ -1,7 +1,5 @@
 """A drive held against itself: poses come out right however the estimate is bent, and false findings are left out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The arithmetic by which observations are told apart, and landmarks near a place, against numpy and scipy."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import islice
 

@@ -1,7 +1,5 @@
 """Keyframes that leave the graph: where the map is known, and without anything being counted twice."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A wrong merge is found by what is seen afterwards and taken back; the map is then as if it had never been."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Planes that were seen before their landmark was born."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """When a keyframe's linear factors are wrong by more than they say, and which planes may start a landmark."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What a keyframe leaves open is said by name and size, and a graph without odometry is never indeterminate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """A run without odometry audits itself by what its planes say beyond finding the pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What returns say of a motion counts once: by the lines that are matched, and beyond them by the motion itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """One submap in another: the likeliest place is found, rivals are counted, and places that are none are not taken."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

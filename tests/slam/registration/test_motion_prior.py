@@ -1,7 +1,5 @@
 """What is expected of a motion that nobody measured: likelihoods, and how it is learnt, by what was drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """What of one view another is compared with: beams, rasters of returns and free space, bounds on blocks of motions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

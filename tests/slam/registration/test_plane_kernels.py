@@ -1,7 +1,5 @@
 """Kernels of finding a motion by planes against the same written in whole arrays."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import gtsam

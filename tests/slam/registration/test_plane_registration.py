@@ -1,7 +1,5 @@
 """A place found by its planes alone: worked out to what they were measured to, and not behind walls."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

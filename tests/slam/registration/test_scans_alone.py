@@ -1,7 +1,5 @@
 """Clouds without any odometry: poses found by planes alone, in a real hall and in one that looks alike everywhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

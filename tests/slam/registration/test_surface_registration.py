@@ -1,7 +1,5 @@
 """Scans laid on what was seen before by all their returns: where planes leave a direction open, edges hold it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

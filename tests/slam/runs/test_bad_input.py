@@ -1,7 +1,5 @@
 """Bad scans are left out and counted, bad keyframes leave no trace, silent sensors are named; strict runs end."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`spplanes fit`: planes of one cloud, with the noise measured where nobody states it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

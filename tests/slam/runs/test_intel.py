@@ -4,8 +4,6 @@ The first 330 of its 910 scans, which take an eighth of the time: the rest drive
 drive of `python -m benchmarks corpus`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

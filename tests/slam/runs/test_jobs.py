@@ -1,7 +1,5 @@
 """A run by several processes is the run by one, to the bit."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

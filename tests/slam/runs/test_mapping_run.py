@@ -1,7 +1,5 @@
 """`spplanes map` on logs that are not as they should be, and the points of a map that a page shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Simulated missions with truth, poses unknown: better than odometry, and honest about poses and planes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The main job on real input: three tilting-laser scans of a corridor (3DTK)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Logs of a real robot with one laser and raw wheel odometry, and of a real camera carried by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

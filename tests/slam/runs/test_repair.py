@@ -1,7 +1,5 @@
 """A run that is wrong says so, is mapped again with what the whole drive agrees on, and is right then."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from dataclasses import replace

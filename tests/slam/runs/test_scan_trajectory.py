@@ -1,7 +1,5 @@
 """The pose at every scan: exact where it must be, and no worse than the keyframes it comes from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """rig.yaml: what it says, what it refuses, the frames it means; the rigs of logs that come with none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors of calibration by the graph: found where they are, honest, exact, and in every covariance that is read."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Constant velocity: how far the next motion may be from the one before, and that it errs as that one does."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Odometry is confirmed by the planes of two scans where these say what all returns could, and by nothing less."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Odometry that was found wrong errs where nothing tells, as often as it was found; what would tell makes it right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

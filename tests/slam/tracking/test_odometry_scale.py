@@ -1,7 +1,5 @@
 """The factor on the odometry's sigma: found where scans tell it, one where it is as stated, slips left out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

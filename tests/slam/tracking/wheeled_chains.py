@@ -1,7 +1,5 @@
 """Chains of poses driven by wheels with errors of calibration, and seen now and then: graphs of known truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import gtsam

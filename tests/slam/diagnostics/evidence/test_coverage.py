@@ -1,7 +1,5 @@
 """What a map leaves open where nobody measured the motion; and its planes against each other: behind, or doubled."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verdict of whole runs: right ones are sound, ones that are wrong in a known way are not, and say which."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Evidence of the odometry (residuals of its steps, one by one and added up) and of mounts that made it look wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

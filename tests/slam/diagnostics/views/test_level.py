@@ -1,7 +1,5 @@
 """Views of level lasers agree where poses are right, and see through each other where they are not."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

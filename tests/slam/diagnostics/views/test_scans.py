@@ -1,7 +1,5 @@
 """Views of 3D sensors: walls are looked for, seen through where nothing is, and what may walk is no wall."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam.diagnostics.views import ScanView, compare
