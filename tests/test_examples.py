@@ -75,8 +75,7 @@ def test_own_graph_slam_is_as_good_as_slam_on_a_real_log(tmp_path, capsys):
     example["main"]([str(tmp_path / "drive.clf"), str(relations_file)])
     own, alone = millimetres(r"(?:graph|alone) +(\S+) mm", capsys.readouterr().out)
     log, rig = load(tmp_path / "drive.clf")
-    drive = run_slam(log, rig, SlamConfig(), repair=False)
-    path = scan_trajectory(drive.trajectory, log, rig, SlamConfig())
+    path = scan_trajectory(run_slam(log, rig, SlamConfig(), repair=False).trajectory, log, rig, SlamConfig())
     errors = relation_errors(path, read_relations(relations_file)).translation_m
     assert own < 1.1e3 * errors.mean() < alone / 1.5
 

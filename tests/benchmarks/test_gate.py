@@ -70,8 +70,7 @@ def test_what_was_not_measured_is_no_regression_but_said():
 def test_results_are_kept_of_every_gated_workload():
     gated = {name for name, one in WORKLOADS.items() if one.gated}
     results = {name: result for name, result in _page.kept().items() if name in gated}
-    figures = _gate.figures_of_all(results)
-    assert {name.split(":")[0] for some in figures.values() for name in some} == gated
+    assert {name.split(":")[0] for some in _gate.figures_of_all(results).values() for name in some} == gated
 
 
 def test_the_command_fails_on_a_worse_ratio_and_on_a_worse_accuracy(monkeypatch, tmp_path, capsys):

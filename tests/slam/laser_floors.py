@@ -182,8 +182,7 @@ def cast(walls: FloatArray, bumps: FloatArray, pose: FloatArray, angles: FloatAr
     nearest = reach.argmin(axis=0)
     beams = np.arange(angles.size)
     lengths = np.linalg.norm(along, axis=1)
-    seen = np.isfinite(reach[nearest, beams])
-    place = np.where(seen, share[nearest, beams], 0.0) * lengths[nearest] / PATCH_M
+    place = np.where(np.isfinite(reach[nearest, beams]), share[nearest, beams], 0.0) * lengths[nearest] / PATCH_M
     patch = np.clip(place, 0, bumps.shape[1] - 1).astype(int)
     grazing = np.abs(cross[nearest, beams]) / lengths[nearest]
     return reach[nearest, beams] + bumps[nearest, patch] / np.maximum(grazing, 0.1)

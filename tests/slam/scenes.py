@@ -54,8 +54,7 @@ class Drive:
 
 def measured(plane: Plane, rng: np.random.Generator, sigmas: np.ndarray = SIGMAS) -> Plane:
     """A plane drawn from its own covariance: the SP perturbation composed on the right."""
-    true = Location.plane(plane.frame, np.diag(sigmas**2))
-    drawn = true.perturbed(sigmas * rng.standard_normal(3))
+    drawn = Location.plane(plane.frame, np.diag(sigmas**2)).perturbed(sigmas * rng.standard_normal(3))
     return Plane(drawn.transform, drawn.covariance, plane.n_points, plane.outline)
 
 

@@ -35,8 +35,7 @@ def test_ranges_scatter_about_the_true_planes_as_the_rig_says(name):
 
 
 def test_depths_scatter_more_the_farther_they_are():
-    drive = make_drive(Recipe.parse("hall/depth/good/fifth"), 1)
-    seen = beam_errors(drive, "camera")
+    seen = beam_errors(make_drive(Recipe.parse("hall/depth/good/fifth"), 1), "camera")
     errors = seen.range_m * seen.rays[:, 2]
     depth = seen.points[:, 2] - errors
     far = depth < 4.8  # beyond, those read too far are lost

@@ -19,8 +19,7 @@ def seen_along(scene, height_m=0.8):
     origins = np.repeat(poses[:, :3, 3] + height_m * poses[:, :3, 2], len(BEAMS.normals), axis=0)
     rays = np.concatenate([BEAMS.directions @ pose[:3, :3].T for pose in poses])
     normals = np.concatenate([BEAMS.normals @ pose[:3, :3].T for pose in poses])
-    times = np.repeat(way / 0.5, len(BEAMS.normals))
-    return origins, rays, *scene.cast(origins, rays, normals, times)
+    return origins, rays, *scene.cast(origins, rays, normals, np.repeat(way / 0.5, len(BEAMS.normals)))
 
 
 @pytest.mark.parametrize("kind", WORLDS)

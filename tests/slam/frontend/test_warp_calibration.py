@@ -52,8 +52,7 @@ def drawn(rng: np.random.Generator, octave: float, *, grows: bool) -> RangeWarp:
 def put_on(points: FloatArray, warp: RangeWarp) -> FloatArray:
     """Points as a camera of that warp reads them: the range r' with r' = r (1 + a + b r')."""
     share, per_m = warp.over(*points.shape[:2])
-    ranges = np.linalg.norm(points, axis=-1)
-    return points * ((1.0 + share) / (1.0 - per_m * ranges))[..., None]
+    return points * ((1.0 + share) / (1.0 - per_m * np.linalg.norm(points, axis=-1)))[..., None]
 
 
 def rest_at(warp: RangeWarp, found: RangeWarp, range_m: float) -> tuple[float, float]:

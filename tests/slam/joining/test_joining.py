@@ -48,8 +48,7 @@ def test_joined_planes_poses_and_frames_are_honest():
         component = joined(seed).components[0]
         assert component.names == ("first", "second") and sorted(len(places) for places in component.classes) == [2] * 6
         planes.append(np.mean([one.plane.mahalanobis(truth_of(one.plane)) for one in component.planes]))
-        told = component.solution.posterior(1)
-        spread = told._marginal([base_key(1)]).covariance([base_key(1)])
+        spread = component.solution.posterior(1)._marginal([base_key(1)]).covariance([base_key(1)])
         frames.append(planar_nees(spread, room_T_second(seed), component.common_T_mission["second"]))
         last = component.trajectories["second"].poses[-1]
         poses.append(planar_nees(component.pose_covariance(1, 14), scene(1000 + seed).world_T_body[-1], last))

@@ -20,16 +20,14 @@ SEEDS = (0, 1, 2)
 
 
 def building_T(seed: int, number: int) -> np.ndarray:
-    stamps = office(seed, number).mission.trajectory.stamps_ns
-    return visit(seed, number).truth.poses_at(stamps[:1])[0]
+    return visit(seed, number).truth.poses_at(office(seed, number).mission.trajectory.stamps_ns[:1])[0]
 
 
 def test_visits_of_one_building_are_joined_with_no_common_start():
     """Three visits of two buildings, half overlapping; the frames found are true within their covariance."""
     for seed in SEEDS[:2]:
         found = join([office(seed, number) for number in range(3)])
-        component = found.components[0]
-        assert len(component.names) == 3, [one.to_dict()["reason"] for one in found.comparisons]
+        assert len(found.components[0].names) == 3, [one.to_dict()["reason"] for one in found.comparisons]
         for one in (one for one in found.comparisons if one.verdict == "joined" and one.alignment is not None):
             a, b = int(one.first[-1]), int(one.second[-1])
             truth = inverse(building_T(seed, a)) @ building_T(seed, b)
@@ -66,8 +64,7 @@ def test_an_alignment_is_where_its_chi2_is_least():
     np.testing.assert_allclose(align(a, b, pairs, truth).a_T_b, found.a_T_b, atol=1e-4)
 
     def chi2(step: np.ndarray) -> np.ndarray:
-        moved = found.a_T_b @ gtsam.Pose3.Expmap(step).matrix()
-        residual, _ = whitened_differences(a, b, pairs, moved)
+        residual, _ = whitened_differences(a, b, pairs, found.a_T_b @ gtsam.Pose3.Expmap(step).matrix())
         return np.array([residual @ residual])
 
     scales = np.sqrt(np.diag(found.covariance))

@@ -52,8 +52,7 @@ def see(walls: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> list[L
 def square_tour(kick: float, side: float = 15.0) -> tuple[list[Keyframe], np.ndarray]:
     """Once round the square and a bit more; on 10 m of it nothing is seen and the heading errs by `kick` (rad) more."""
     rng = np.random.default_rng(1)
-    way = np.arange(0.0, 4.0 * side + 8.0, 0.5)
-    leg, along = np.divmod(way, side)
+    leg, along = np.divmod(np.arange(0.0, 4.0 * side + 8.0, 0.5), side)
     corners = np.array(((0, 0), (side, 0), (side, side), (0, side), (0, 0)))
     heading = leg * np.pi / 2
     xy = corners[leg.astype(int) % 4] + along[:, None] * np.stack((np.cos(heading), np.sin(heading)), axis=1)

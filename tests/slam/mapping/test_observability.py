@@ -84,8 +84,7 @@ def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
 def test_lines_of_a_level_laser_say_nothing_of_the_height():
     walls = [(0.0, 3.0), (np.pi / 2.0, 2.0), (np.pi, 4.0), (-np.pi / 2.0, 2.0)]
     seen = [LineObservation(make_line(*wall, np.diag([1e-5, 1e-5])), np.eye(4)) for wall in walls]
-    found = open_directions(1, seen, np.eye(4), RULES)
-    assert {one.name for one in found} == {"along z", "about x", "about y"}
+    assert {one.name for one in open_directions(1, seen, np.eye(4), RULES)} == {"along z", "about x", "about y"}
 
 
 def test_the_floor_holds_height_roll_and_pitch_of_what_drives_on_it():
@@ -115,8 +114,7 @@ def test_a_run_says_what_only_odometry_holds_and_how_well():
     (stretch,) = slam.open_directions
     assert stretch.keyframes == tuple(range(1, 8)) and stretch.total == 7
     pose, covariance = slam.trajectory.poses[-1], slam.marginal_covariance(pose_symbol(7))[3:, 3:]
-    sigma = np.sqrt((pose[:3, :3] @ covariance @ pose[:3, :3].T)[0, 0])
-    assert stretch.sigma == pytest.approx(sigma, rel=1e-2)
+    assert stretch.sigma == pytest.approx(np.sqrt((pose[:3, :3] @ covariance @ pose[:3, :3].T)[0, 0]), rel=1e-2)
     assert stretch.sentence.startswith("along x: information only from odometry at 7 of 7 keyframes, sigma 0.0")
 
 
@@ -146,8 +144,7 @@ def test_where_nothing_is_known_of_two_directions_they_are_called_by_the_axes():
 
 
 def test_a_corridor_seen_by_planes_alone_is_open_as_a_whole_along_itself():
-    slam = corridor_run(with_odometry=False)
-    (found,) = slam.open_in_map
+    (found,) = corridor_run(with_odometry=False).open_in_map
     assert found.keyframes == tuple(range(1, 8)) and found.total == 7
     assert found.sentence == (
         "the map as a whole, along x: planes alone leave 7 of 7 keyframes open against the first, without bound"

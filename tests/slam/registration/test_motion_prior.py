@@ -116,7 +116,6 @@ def test_estimates_drawn_to_what_is_learnt_do_not_make_it_ever_smaller(sigma: fl
             wide = np.diag(used.covariance)
             truth = 0.1 * np.sqrt(CHANGE) * rng.standard_normal(6)
             known = 1.0 / (1.0 / wide + 1.0 / sigma**2)
-            estimate = known * (truth + sigma * rng.standard_normal(6)) / sigma**2
-            prior.learn(expected, estimate, used, np.diag(known))
+            prior.learn(expected, known * (truth + sigma * rng.standard_normal(6)) / sigma**2, used, np.diag(known))
         found.append(prior.prior(coasting(), CHANGE).usual.shares)
     assert np.exp(np.log(found).mean()) == pytest.approx(0.1, rel=0.4)

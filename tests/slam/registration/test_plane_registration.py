@@ -66,8 +66,7 @@ def test_a_wall_and_the_face_of_a_pillar_have_the_pillar_in_common():
 def test_derivatives_of_what_planes_are_off():
     rng, known = np.random.default_rng(0), hall()
     motion = gtsam.Pose3.Expmap(rng.normal(0.0, 0.3, 6)).matrix()
-    seen = measured(known, body(1.0, 0.5, 0.3), rng)
-    for one, other in zip(seen, known, strict=True):
+    for one, other in zip(measured(known, body(1.0, 0.5, 0.3), rng), known, strict=True):
 
         def off(step: FloatArray, one: Plane = one, other: Plane = other) -> tuple[FloatArray, FloatArray]:
             there = motion @ gtsam.Pose3.Expmap(step).matrix()

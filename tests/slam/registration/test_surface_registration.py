@@ -295,8 +295,7 @@ def test_rivals_are_other_places_and_each_counts_once() -> None:
     first, best = found.tried[0], found.tried[0].log_likelihood
     off = [Tried(ahead(metres), best - np.log(4.0)) for metres in (5.0, 5.001)] + [Tried(ahead(0.0, 3.0), -np.inf)]
     near, covariance = Tried(ahead(0.01), best - 0.1), np.diag(np.repeat([0.02, 0.004], 3) ** 2)
-    rivals = _rivals(replace(found, tried=(first, near, *off)), covariance)
-    assert rivals == pytest.approx((0.2, 5.0, 0.0), abs=1e-6)
+    assert _rivals(replace(found, tried=(first, near, *off)), covariance) == pytest.approx((0.2, 5.0, 0.0), abs=1e-6)
     wide = np.diag([9.0, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # along an open direction a place is one, however long
     assert _rivals(replace(found, tried=(first, near, *off)), wide).probability == 0.0
     assert _rivals(replace(found, tried=(first, near)), covariance) == NO_RIVALS

@@ -115,5 +115,4 @@ def test_no_two_true_planes_are_one(world):
         for b in world.planes[i + 1 :]:
             if a.normal @ b.normal > 1.0 - 1e-9 and abs(a.distance(b.centre)) < 1e-6:
                 mapped = np.array(b.outline.exterior.coords) @ b.frame[:3, :2].T + b.centre
-                other = shapely.Polygon((mapped - a.centre) @ a.frame[:3, :2])
-                assert a.outline.distance(other) > 0.01
+                assert a.outline.distance(shapely.Polygon((mapped - a.centre) @ a.frame[:3, :2])) > 0.01

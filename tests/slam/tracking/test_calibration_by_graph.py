@@ -116,8 +116,7 @@ def test_what_is_seen_after_the_graph_was_asked_is_counted_too() -> None:
         if calibration_by_graph(made.steps, made.backend)[0].as_stated >= 0.5:
             continue
         calibrated(made)
-        late = [seen(rng, k, made.true[k]) for k in (20, 30, 40)]
-        made.backend.update(late, gtsam.Values(), relinearize=True)
+        made.backend.update([seen(rng, k, made.true[k]) for k in (20, 30, 40)], gtsam.Values(), relinearize=True)
         made.backend.settle(10)
         key = pose_symbol(len(made.true) - 1)
         off = planar_delta(inverse(made.backend.pose(key)) @ made.true[-1])
@@ -131,8 +130,7 @@ def test_what_the_graph_found_stays_until_it_is_asked_again() -> None:
     calibration, found = WheelCalibration(), np.diag((0.003, 0.003)) ** 2
     calibration.mean, calibration.covariance = np.array((0.02, -0.02)), found.copy()
     for step in chain(np.random.default_rng(6), np.zeros(2)).steps:
-        moved = calibration.predict(step.motion)
-        np.testing.assert_array_equal(moved.covariance, step.motion.covariance)
+        np.testing.assert_array_equal(calibration.predict(step.motion).covariance, step.motion.covariance)
     np.testing.assert_array_equal(calibration.covariance, found)
     np.testing.assert_array_equal(calibration.mean, (0.02, -0.02))
 

@@ -41,8 +41,7 @@ def elements_of(planes: list[Plane], sigma: float = 0.005) -> FloatArray:
     rows = []
     for plane in planes:
         assert plane.outline is not None
-        corners = np.array(plane.outline.exterior.coords)
-        points = plane.centre + corners @ plane.frame[:3, :2].T
+        points = plane.centre + np.array(plane.outline.exterior.coords) @ plane.frame[:3, :2].T
         rows += [(*point, *plane.normal, sigma, ON_PLANE) for point in points]
     return with_widths(np.array(rows))
 
