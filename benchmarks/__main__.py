@@ -19,11 +19,7 @@ from benchmarks._registry import WORKLOADS
 from benchmarks.peers import environment
 
 #: Benchmarks that have options of their own, and where: `python -m benchmarks corpus --help`.
-OWN_OPTIONS = {
-    "corpus": "benchmarks.corpus.__main__",
-    "ablation": "benchmarks.corpus.ablation",
-    "joins": "benchmarks.joins",
-}
+OWN_OPTIONS = {"corpus": "corpus.__main__", "ablation": "corpus.ablation", "joins": "joins"}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
 def main(words: list[str]) -> int:
     """Run what is asked for; exit code 2 for a name that is none, 1 for a regression or a workload that fails."""
     if words and words[0] in OWN_OPTIONS:
-        return import_module(OWN_OPTIONS[words[0]]).main(words[1:])
+        return import_module(f"benchmarks.{OWN_OPTIONS[words[0]]}").main(words[1:])
     asked = parser().parse_args(words)
     unknown = [name for name in asked.names if name not in WORKLOADS]
     if unknown:
@@ -75,18 +71,13 @@ def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, di
         results[name] = {**here, "short": short, **measured}
         if write:
             _page.PAGE.write_text(_page.page(_page.store({name: results[name]})))
-        print(
-            f"== {name}: {workload.title} ({measured['seconds']:.0f} s)\n{_page.plain(measured['rows'])}\n", flush=True
-        )
+        head = f"== {name}: {workload.title} ({measured['seconds']:.0f} s)"
+        print(f"{head}\n{_page.plain(measured['rows'])}\n", flush=True)
     return results, failed
 
 
 def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
-    """What a workload's own process found.
-
-    Raises:
-        RuntimeError: it failed, in its last words.
-    """
+    """What a workload's own process found; a RuntimeError where it failed, in its last words."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "result.json"
         printed_by(sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments))
@@ -102,9 +93,8 @@ def conclude(results: dict[str, dict[str, Any]], kept: dict[str, dict[str, Any]]
         print(f"regression: {sentence}")
     for name in verdict.missing:
         print(f"not measured: {name}", file=sys.stderr)
-    print(
-        f"{verdict.compared} figures compared, {len(verdict.regressions)} regressions, {len(verdict.missing)} missing"
-    )
+    counts = f"{len(verdict.regressions)} regressions, {len(verdict.missing)} missing"
+    print(f"{verdict.compared} figures compared, {counts}")
     return verdict.exit_code
 
 

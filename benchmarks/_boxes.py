@@ -22,23 +22,20 @@ def polyhedra_scan(seed: int, size: int = 500) -> tuple[FloatArray, FloatArray, 
     elevation, azimuth = np.meshgrid(
         np.linspace(0.5, -0.5, size) * HIGH_RAD + 0.02, np.linspace(0.5, -0.5, size) * WIDE_RAD, indexing="ij"
     )
-    rays = _directions(azimuth, elevation)
-    room = _room(rng)
+    rays, room = _directions(azimuth, elevation), _room(rng)
     ranges, labels = _inside(rays, *room)
     planes = list(np.column_stack(room))
     for body in [_body(rng) for _ in range(BODIES)]:
         first = len(planes)
         for normals, offsets, shift in body:
-            near, face = _outside(rays, normals, offsets, shift)
-            number = [
-                _number_of(plane, planes, first) for plane in np.column_stack((normals, offsets + normals @ shift))
-            ]
+            distance = offsets + normals @ shift
+            near, face = _outside(rays, normals, distance)
+            number = [_number_of(plane, planes, first) for plane in np.column_stack((normals, distance))]
             nearer = near < ranges
             ranges, labels = np.where(nearer, near, ranges), np.where(nearer, np.array(number)[face], labels)
-    points = (ranges + RANGE_SIGMA_M * rng.standard_normal(ranges.shape))[..., None] * _directions(
-        azimuth + ANGLE_SIGMA_RAD * rng.standard_normal(ranges.shape),
-        elevation + ANGLE_SIGMA_RAD * rng.standard_normal(ranges.shape),
-    )
+    noise = rng.standard_normal((3, *ranges.shape))
+    read = _directions(azimuth + ANGLE_SIGMA_RAD * noise[1], elevation + ANGLE_SIGMA_RAD * noise[2])
+    points = (ranges + RANGE_SIGMA_M * noise[0])[..., None] * read
     along = rays[..., :, None] * rays[..., None, :]
     across = (ANGLE_SIGMA_RAD * ranges[..., None, None]) ** 2
     covariances = RANGE_SIGMA_M**2 * along + across * (np.eye(3) - along)
@@ -103,11 +100,9 @@ def _inside(rays: FloatArray, normals: FloatArray, offsets: FloatArray) -> tuple
     return reach.min(axis=-1), reach.argmin(axis=-1)
 
 
-def _outside(
-    rays: FloatArray, normals: FloatArray, offsets: FloatArray, shift: FloatArray
-) -> tuple[FloatArray, np.ndarray]:
+def _outside(rays: FloatArray, normals: FloatArray, distance: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """Range and face of a convex body that every ray meets first, infinite where it misses it."""
-    towards, distance = rays @ normals.T, offsets + normals @ shift
+    towards = rays @ normals.T
     with np.errstate(divide="ignore"):
         reach = distance / towards
     entry, leave = np.where(towards < 0.0, reach, -np.inf), np.where(towards > 0.0, reach, np.inf)

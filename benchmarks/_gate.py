@@ -30,32 +30,21 @@ class Accuracy:
     """What may be added to it besides the tolerance."""
 
 
-def _missed(share: float) -> float:
-    return 100.0 - share
-
-
 ACCURACY = {
-    "normal, mdeg": Accuracy(),
-    "offset, um": Accuracy(),
-    "error, mm": Accuracy(),
-    "largest, mm": Accuracy(),
-    "correct": Accuracy(),
-    "represented, %": Accuracy(_missed, 0.1),
-    "purity, %": Accuracy(_missed, 0.1),
+    **dict.fromkeys(("normal, mdeg", "offset, um", "error, mm", "largest, mm", "correct"), Accuracy()),
+    **dict.fromkeys(("represented, %", "purity, %"), Accuracy(lambda share: 100.0 - share, 0.1)),
     "chi2/dof": Accuracy(lambda value: abs(value - 1.0), 0.01),
 }
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a gate has to say."""
+    """What a gate has to say: a sentence for each regression, and how many figures were compared."""
 
     regressions: list[str] = field(default_factory=list)
-    """One sentence each."""
     missing: list[str] = field(default_factory=list)
     """Figures that are kept and were not measured: a peer is not there."""
     compared: int = 0
-    """Figures that were."""
 
     @property
     def exit_code(self) -> int:

@@ -51,11 +51,9 @@ class Peer:
     """A contender that runs elsewhere and times itself."""
 
     by: str
-    """Whose it is."""
     measure: Callable[[int], Row]
     """From the number of repeats to a row with time and memory; RuntimeError: why it is not there."""
     repeats: int = 5
-    """How many times it is timed."""
 
 
 Case = Callable[[], Sequence[Task | Peer]]
@@ -64,17 +62,14 @@ Case = Callable[[], Sequence[Task | Peer]]
 def measured(module: str, cases: Mapping[str, Case], *, short: bool = False) -> list[Row]:
     """Rows of all cases of a module: accuracy, processor and wall time (medians), memory, and time as a ratio to ours.
 
-    Args:
-        module: where `cases` can be found again, as its `CASES`, by the process that measures memory.
-        cases: what builds the contenders of each case, ours first.
-        short: two repeats at most of what takes longer than a moment.
+    `cases` build the contenders of each, ours first; the process that measures memory finds them again as the `CASES`
+    of the module. In short runs what takes longer than a moment is repeated twice at most.
     """
     rows: list[Row] = []
     for name, build in cases.items():
         contenders = build()
         tasks = [one for one in contenders if isinstance(one, Task)]
-        timed = iter(in_turn(tasks, short=short))
-        peaks = iter(memory_of(module, name) if tasks else [])
+        timed, peaks = iter(in_turn(tasks, short=short)), iter(memory_of(module, name) if tasks else [])
         mine: list[Row] = []
         for one in contenders:
             row: Row = {"case": name, "by": one.by}
@@ -130,15 +125,9 @@ def memory_of(module: str, case: str) -> list[float]:
 
 
 def printed_by(python: Path | str, *words: str, timeout_s: float | None = None) -> str:
-    """What an interpreter prints, in a process of its own on one thread.
-
-    Raises:
-        RuntimeError: it failed, in its last words.
-    """
-    environment = {**os.environ, **ONE_THREAD}
-    done = subprocess.run(
-        [python, *words], capture_output=True, text=True, check=False, cwd=PROJECT, env=environment, timeout=timeout_s
-    )
+    """What an interpreter prints, in a process of its own on one thread; RuntimeError: its last words."""
+    here = {"cwd": PROJECT, "env": {**os.environ, **ONE_THREAD}, "timeout": timeout_s}
+    done = subprocess.run([python, *words], capture_output=True, text=True, check=False, **here)
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
     return done.stdout

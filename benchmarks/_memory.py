@@ -35,8 +35,7 @@ def peak_mb(work: Callable[[], object], *, warm: bool = True) -> float:
         work()
         return _largest_mb() - before
     before = resident_mb()
-    kept = work()
-    peak = _status_mb("VmHWM") - before
+    kept, peak = work(), _status_mb("VmHWM") - before
     del kept
     return peak
 

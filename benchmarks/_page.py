@@ -6,6 +6,7 @@ Rows become text here, for the screen and for Markdown.
 from __future__ import annotations
 
 import json
+import os
 import platform
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -45,8 +46,6 @@ def circumstances() -> dict[str, Any]:
 
 def processor() -> str:
     """Name of the processor and its number of cores."""
-    import os
-
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -66,8 +65,7 @@ def kept(path: Path = RESULTS) -> dict[str, dict[str, Any]]:
 
 
 def store(results: dict[str, dict[str, Any]], path: Path = RESULTS) -> dict[str, dict[str, Any]]:
-    """Put results among those kept; all of them. What a short run leaves out stays,
-    with the date of the full run it is from."""
+    """Put results among those kept; all of them. What a short run leaves out stays, with the date of its full run."""
     every = kept(path)
     for name, result in results.items():
         older = left_out(result, every[name]) if result["short"] and name in every else []

@@ -11,7 +11,6 @@ class Workload:
     """One module of this package."""
 
     title: str
-    """Heading of its table."""
     says: str
     """What is measured, and what the reader must know of it."""
     full: dict[str, Any] = field(default_factory=dict)
@@ -33,10 +32,9 @@ WORKLOADS: dict[str, Workload] = {
     ),
     "scenes": Workload(
         "Plane extraction",
-        "Whole scenes, ours on one core, Open3D on all, as it does by itself. Open3D's patches need normals, which "
-        "are part of the time; `segment_plane` is "
-        "called again on what is left until a plane has fewer points than asked. Correct: Hoover's "
-        "count at 80 % overlap.",
+        "Whole scenes, ours on one core, Open3D on all, as it does by itself. Open3D's patches need normals, which are "
+        "part of the time; `segment_plane` is called again on what is left until a plane has fewer points than asked. "
+        "Correct: Hoover's count at 80 % overlap.",
         short=_QUICK,
         gated=True,
     ),

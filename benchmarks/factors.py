@@ -10,6 +10,8 @@ from functools import cache, partial
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import L as plane_key
+from gtsam.symbol_shorthand import X as pose_key
 
 from benchmarks._measure import CPU, EACH, Case, Row, Task, measured
 from factors import line_factor, plane_factor, plane_factors, plane_landmark
@@ -24,21 +26,6 @@ LINE = ScanLine(0.3, 2.0, np.diag([0.005, 0.01]) ** 2, np.zeros((2, 2)), np.aran
 #: Sigmas of planes (m, rad, rad): the stock factor's changing basis matters where the tilts' are very different.
 TILTS = {"tilts 1:5": np.array([0.005, 0.002, 0.01]), "equal tilts": np.array([0.005, 0.005, 0.005])}
 WITHOUT = "without the lines"
-
-
-def pose_key(i: int) -> int:
-    """Key of pose i."""
-    return gtsam.symbol("x", i)
-
-
-def plane_key(j: int) -> int:
-    """Key of plane j."""
-    return gtsam.symbol("l", j)
-
-
-def random_poses(rng: np.random.Generator, n: int) -> list[gtsam.Pose3]:
-    """Poses within 5 m of the origin."""
-    return [gtsam.Pose3(gtsam.Rot3.Rodrigues(rng.normal(size=3)), rng.uniform(-5, 5, 3)) for _ in range(n)]
 
 
 def random_frames(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -59,9 +46,10 @@ def helix(n_poses: int) -> list[gtsam.Pose3]:
     return [gtsam.Pose3(gtsam.Rot3.Yaw(turn), place) for turn, place in zip(turns, places, strict=True)]
 
 
-def walk(sigmas: np.ndarray) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[tuple[int, int, Plane]]]:
+@cache
+def walk(tilts: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[tuple[int, int, Plane]]]:
     """Odometry of 1,000 poses, their initial values, and 6,000 observations (pose, plane, Plane) of 200 planes."""
-    rng, n_poses, n_planes, per_pose = np.random.default_rng(1), 1000, 200, 6
+    rng, n_poses, n_planes, per_pose, sigmas = np.random.default_rng(1), 1000, 200, 6, TILTS[tilts]
     truth, frames = helix(n_poses), random_frames(rng, n_planes)
     for j, frame in enumerate(frames):
         frame[:] = truth[j * n_poses // n_planes].matrix() @ frame
@@ -97,8 +85,9 @@ def stock_factors(planes: list[Plane], poses: list[int], keys: list[int]) -> gts
 def observed() -> tuple[gtsam.Values, list[Plane], list[int], list[int], list[int]]:
     """Values of 100 poses and 30 planes; planes seen, their pose keys, plane keys and anchor keys, MANY of each."""
     rng, values = np.random.default_rng(0), gtsam.Values()
-    for i, pose in enumerate(random_poses(rng, 100)):
-        values.insert(pose_key(i), pose)
+    for i in range(100):
+        turn = gtsam.Rot3.Rodrigues(rng.normal(size=3))
+        values.insert(pose_key(i), gtsam.Pose3(turn, rng.uniform(-5.0, 5.0, 3)))
     frames = random_frames(rng, 30)
     planes = [Plane(frames[k % 30], np.diag(TILTS["tilts 1:5"]) ** 2) for k in range(MANY)]
     for j in range(30):
@@ -109,10 +98,8 @@ def observed() -> tuple[gtsam.Values, list[Plane], list[int], list[int], list[in
 
 def linearising(graphs: Callable[[], dict[str, gtsam.NonlinearFactorGraph]]) -> list[Task]:
     """Time to linearise one factor, in a graph of MANY."""
-    values = observed()[0]
-    return [
-        Task(name, partial(graph.linearize, values), repeats=REPEATS, things=MANY) for name, graph in graphs().items()
-    ]
+    how = {"repeats": REPEATS, "things": MANY}
+    return [Task(name, partial(graph.linearize, observed()[0]), **how) for name, graph in graphs().items()]
 
 
 def plane_graphs() -> dict[str, gtsam.NonlinearFactorGraph]:
@@ -172,25 +159,18 @@ def stepping(n: int) -> list[Task]:
         graph.push_back(gtsam.OrientedPlane3DirectionPrior(plane_key(0), upright, direction))
         anchor = pose_key(0)
         graph.push_back(line_factor(LINE, np.eye(4), pose_key(1), plane_key(0), anchor_key=anchor, expected=wall))
+        how = {"anchor_key": anchor, "expected": expected}
         for i in range(2, 2 + more):
-            graph.push_back(
-                line_factor(LINE, np.eye(4), pose_key(i), plane_key(0), anchor_key=anchor, expected=expected)
-            )
+            graph.push_back(line_factor(LINE, np.eye(4), pose_key(i), plane_key(0), **how))
         # one step by an optimiser that is not kept
         step = partial(lambda g, v: gtsam.GaussNewtonOptimizer(g, v).iterate(), graph, values)
         tasks.append(Task(name, step, repeats=9))
     return tasks
 
 
-@cache
-def scene(tilts: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[tuple[int, int, Plane]]]:
-    """Odometry, initial poses and observations of a walk."""
-    return walk(TILTS[tilts])
-
-
 def solving(tilts: str) -> list[Task]:
     """The same graph of 1,000 poses, 200 planes and 6,000 observations with our factors and with stock ones."""
-    _, _, seen = scene(tilts)
+    _, _, seen = walk(tilts)
     first: dict[int, int] = {}
     for i, j, _ in seen:
         first.setdefault(j, i)
@@ -211,15 +191,10 @@ def solving(tilts: str) -> list[Task]:
 
 
 def _solver(
-    by: str,
-    tilts: str,
-    factors: gtsam.NonlinearFactorGraph,
-    first: dict[int, int],
-    anchors: dict[int, int] | None,
-    repeats: int = 3,
+    by: str, tilts: str, factors: gtsam.NonlinearFactorGraph, first: dict, anchors: dict | None, repeats: int = 3
 ) -> Task:
     """Levenberg-Marquardt; iterations and chi2 per degree of freedom."""
-    odometry, poses, seen = scene(tilts)
+    odometry, poses, seen = walk(tilts)
     graph, values = gtsam.NonlinearFactorGraph(odometry), gtsam.Values(poses)
     graph.push_back(factors)
     for i, j, plane in seen:

@@ -35,8 +35,7 @@ def wall(n: int) -> tuple[np.ndarray, np.ndarray]:
     points = CENTRE + flat[:, :1] * X + flat[:, 1:] * Y
     ranges = np.linalg.norm(points, axis=1)
     beams = points / ranges[:, None]
-    along = beams[:, :, None] * beams[:, None, :]
-    sideways = 0.002 * ranges
+    along, sideways = beams[:, :, None] * beams[:, None, :], 0.002 * ranges
     covariances = SIGMA_M**2 * along + (sideways**2)[:, None, None] * (np.eye(3) - along)
     across = rng.normal(size=(n, 3))
     across -= np.einsum("ni,ni->n", across, beams)[:, None] * beams
@@ -95,21 +94,15 @@ def open3d_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normals and centres of groups of points (K, n, 3) by Open3D, which has each cloud copied to it."""
     import open3d
 
-    found = []
-    for part in points:
-        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(part))
-        found.append(cloud.compute_mean_and_covariance())
+    clouds = (open3d.geometry.PointCloud(open3d.utility.Vector3dVector(part)) for part in points)
+    found = [cloud.compute_mean_and_covariance() for cloud in clouds]
     return np.linalg.eigh(np.stack([c for _, c in found]))[1][:, :, 0], np.stack([m for m, _ in found])
 
 
 def score(normals: np.ndarray, middle_offsets: np.ndarray) -> Row:
     """Accuracy of planes with normals (K, 3) that pass the true middle at these distances (K,)."""
-    angles = np.linalg.norm(np.cross(normals, NORMAL), axis=1)
-    return {
-        "normal, mdeg": 1e3 * float(np.rad2deg(np.median(angles))),
-        "offset, um": 1e6 * float(np.median(np.abs(middle_offsets))),
-        "NEES (3)": None,
-    }
+    angle = 1e3 * float(np.rad2deg(np.median(np.linalg.norm(np.cross(normals, NORMAL), axis=1))))
+    return {"normal, mdeg": angle, "offset, um": 1e6 * float(np.median(np.abs(middle_offsets))), "NEES (3)": None}
 
 
 def score_planes(planes: list[Plane]) -> Row:
@@ -158,10 +151,8 @@ def with_covariances(method: Method) -> list[Task | Peer]:
 
 def robust() -> list[Task | Peer]:
     """What robustness costs on top of it."""
-    points, covariances = wall(POINTS)
-    first = with_covariances("ml")[0]
-    tukey = partial(fit_plane, points, covariances, robust="tukey")
-    return [first, Task("spplanes, tukey", tukey, lambda one: score_planes([one]))]
+    tukey = partial(fit_plane, *wall(POINTS), robust="tukey")
+    return [with_covariances("ml")[0], Task("spplanes, tukey", tukey, lambda one: score_planes([one]))]
 
 
 def one_sigma(planes: int, each: int) -> list[Task | Peer]:

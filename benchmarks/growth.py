@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from shapely import Polygon, box
+from shapely.affinity import translate
 
 from benchmarks._memory import resident_mb
 from factors.association.observations import PlaneObservation
@@ -32,27 +34,18 @@ SIGMAS = np.array([0.003, 0.004, 0.004])
 
 def run(keyframes: int = 2000, seed: int = 0) -> list[dict]:
     """One row for every tenth of a mission."""
-    slam, spent, rows = PlaneSlam(SlamConfig()), _Spent(), []
-    ends = {int(part[-1]) for part in np.array_split(np.arange(keyframes), 10)}
-    truth: list[np.ndarray] = []
-    first: float | None = None
-    for index, (frame, pose) in enumerate(mission(keyframes, seed)):
-        spent.add(slam, frame)
-        truth.append(pose)
-        if index in ends:
-            count = len(truth)
-            away = slam.trajectory.poses[index + 1 - count :, :2, 3] - np.array(truth)[:, :2, 3]
-            row = spent.row(slam)
-            first = first or row["median, ms"]
-            rows.append(
-                {
-                    "keyframes": f"{index + 1 - count} to {index} of {keyframes}",
-                    **row,
-                    "of the first tenth": row["median, ms"] / first,
-                    "position, cm rms": 100.0 * float(np.sqrt((away**2).sum(axis=1).mean())),
-                }
-            )
-            truth.clear()
+    slam, spent, rows, drive = PlaneSlam(SlamConfig()), _Spent(), [], mission(keyframes, seed)
+    for part in np.array_split(np.arange(keyframes), 10):
+        true = []
+        for frame, pose in islice(drive, len(part)):
+            spent.add(slam, frame)
+            true.append(pose[:2, 3])
+        away, row = slam.trajectory.poses[part[0] :, :2, 3] - np.array(true), spent.row(slam)
+        row |= {
+            "of the first tenth": row["median, ms"] / (rows[0] if rows else row)["median, ms"],
+            "position, cm rms": 100.0 * float(np.sqrt((away**2).sum(axis=1).mean())),
+        }
+        rows.append({"keyframes": f"{part[0]} to {part[-1]} of {keyframes}", **row})
     return rows
 
 
@@ -60,9 +53,7 @@ class _Spent:
     """Time and memory since the last row, loop closures apart."""
 
     def __init__(self) -> None:
-        self._seconds: list[float] = []
-        self._closings: list[float] = []
-        self._memory = resident_mb()
+        self._seconds, self._closings, self._memory = [], [], resident_mb()
 
     def add(self, slam: PlaneSlam, frame: Keyframe) -> None:
         """Add a keyframe and take its time."""
@@ -91,20 +82,16 @@ class _Spent:
         }
         slam.clock.seconds.clear()
         slam.backend.clock.seconds.clear()
-        self._memory = memory
-        self._seconds, self._closings = [], []
+        self._seconds, self._closings, self._memory = [], [], memory
         return row
 
 
 def mission(count: int, seed: int) -> Iterator[tuple[Keyframe, np.ndarray]]:
     """Keyframes of a robot that drives round the office as often as it takes, with their true poses."""
-    rng = np.random.default_rng(seed)
-    laps = int(np.ceil(count * STEP_M / 78.0)) + 1
-    path, planes, noise = office_path(laps), office().planes, OdometryNoise()
-    before = None
+    rng, laps = np.random.default_rng(seed), int(np.ceil(count * STEP_M / 78.0)) + 1
+    path, planes, noise, before = office_path(laps), office().planes, OdometryNoise(), None
     for index in range(count):
-        pose = planar_transform(*path.at(np.array([index * STEP_M]))[0])
-        motion = None
+        pose, motion = planar_transform(*path.at(np.array([index * STEP_M]))[0]), None
         if before is not None:
             delta = planar_delta(inverse(before) @ pose)
             covariance = noise.covariance(delta)
@@ -116,11 +103,9 @@ def mission(count: int, seed: int) -> Iterator[tuple[Keyframe, np.ndarray]]:
 
 def seen_from(world_T_body: np.ndarray, planes: list[Plane], rng: np.random.Generator) -> list[PlaneObservation]:
     """The planes about the robot, those of which most is seen first."""
-    eye = world_T_body[:3, 3] + np.array([0.0, 0.0, 0.5])
-    found = []
+    eye, found = world_T_body[:3, 3] + np.array([0.0, 0.0, 0.5]), []
     for plane in planes:
-        height = float(plane.distance(eye))
-        if not 0.0 < height < REACH_M or plane.outline is None:
+        if not 0.0 < float(plane.distance(eye)) < REACH_M or plane.outline is None:
             continue
         u, v = ((eye - plane.centre) @ plane.frame[:3, :2]).tolist()
         patch = plane.outline.intersection(box(u - PATCH_M, v - PATCH_M, u + PATCH_M, v + PATCH_M))
@@ -132,11 +117,8 @@ def seen_from(world_T_body: np.ndarray, planes: list[Plane], rng: np.random.Gene
 
 def _measured(plane: Plane, patch: Polygon, body_T_world: np.ndarray, rng: np.random.Generator) -> Plane:
     """The patch in the body frame, moved by an error drawn from its covariance, composed on the right."""
-    from shapely.affinity import translate
-
-    x, y = patch.centroid.x, patch.centroid.y
-    middle = np.eye(4)
-    middle[:3, 3] = x, y, 0.0
+    x, y, middle = patch.centroid.x, patch.centroid.y, np.eye(4)
+    middle[:2, 3] = x, y
     seen = Location.plane(body_T_world @ plane.frame @ middle, np.diag(SIGMAS**2))
     frame = seen.perturbed(SIGMAS * rng.standard_normal(3)).transform
     return Plane(frame, seen.covariance, 1000, translate(patch, -x, -y))

@@ -37,16 +37,13 @@ def mission_of(
 
 def false_joins(missions: Sequence[Mission], significance: float) -> Counter[str]:
     """Verdicts on all pairs of missions of different buildings."""
-    config = SlamConfig()
-    return Counter(
-        compare_missions(a, b, config, significance=significance).verdict for a, b in combinations(missions, 2)
-    )
+    found = (compare_missions(*pair, SlamConfig(), significance=significance) for pair in combinations(missions, 2))
+    return Counter(one.verdict for one in found)
 
 
 def true_joins(recipe: Recipe, seeds: Sequence[int], significance: float) -> tuple[Counter[str], list[float]]:
     """Verdicts on two visits of each building, and the NEES (3 dof) of the motions of those that are joined."""
-    verdicts: Counter[str] = Counter()
-    nees = []
+    verdicts, nees = Counter[str](), []
     for seed in seeds:
         a, building_T_a = mission_of(recipe, seed, part=(0.0, 0.7))
         b, building_T_b = mission_of(recipe, seed, visit=1, part=(0.3, 1.0), backwards=True)

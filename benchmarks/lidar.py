@@ -75,5 +75,4 @@ CASES: dict[str, Case] = {
 
 def run(*, short: bool = False) -> list[Row]:
     """Rows of all drives; of the first one where it is to be short."""
-    cases = dict(list(CASES.items())[:1]) if short else CASES
-    return measured("benchmarks.lidar", cases, short=short)
+    return measured("benchmarks.lidar", dict(list(CASES.items())[:1]) if short else CASES, short=short)

@@ -28,9 +28,7 @@ from spplanes.registration import register_scans
 #: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
 LEAST_POINTS, MOST_PLANES, TRIES = 200, 20, 100
 #: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks from line to line, and drifts.
-CORRIDOR_SENSOR = SensorModel(
-    range_sigma_m=0.01, scan_shift_sigma_m=0.005, scan_tilt_sigma_rad=0.003, surface_sigma_m=0.02
-)
+CORRIDOR_SENSOR = SensorModel(0.01, scan_shift_sigma_m=0.005, scan_tilt_sigma_rad=0.003, surface_sigma_m=0.02)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +68,8 @@ def icl_frame(data: Path, noise_seed: int | None = None) -> tuple[FloatArray, Fl
         noise = sigma * np.random.default_rng(noise_seed).standard_normal(depth.shape)
         depth = np.where(depth > 0.0, depth + noise, 0.0)
     v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    points = np.stack(
-        ((u - camera[0, 2]) / camera[0, 0] * depth, (v - camera[1, 2]) / camera[1, 1] * depth, depth), axis=-1
-    )
+    x, y = (u - camera[0, 2]) / camera[0, 0] * depth, (v - camera[1, 2]) / camera[1, 1] * depth
+    points = np.stack((x, y, depth), axis=-1)
     points[depth <= 0.0] = np.nan
     return points, sigma, labels
 
@@ -95,42 +92,30 @@ def mission() -> Scene:
     """The push-broom corridor of the paper's length, registered at the given poses."""
     simulated = simulate_mission("corridor")
     vertical, sensor = simulated.arrays("vertical"), simulated.rig.sensors["vertical"]
-    scans = register_scans(
-        vertical.ranges,
-        vertical.angles,
-        vertical.world_T_body_given,
-        SensorModel(sensor.range_sigma_m, bearing_sigma_rad=sensor.bearing_sigma_rad),
-        body_T_sensor=sensor.body_T_sensor,
-        pose_covariances=(simulated.rig.localisation or LocalisationNoise()).location_covariance(),
-    )
+    model = SensorModel(sensor.range_sigma_m, bearing_sigma_rad=sensor.bearing_sigma_rad)
+    known = (simulated.rig.localisation or LocalisationNoise()).location_covariance()
+    read, poses = (vertical.ranges, vertical.angles), vertical.world_T_body_given
+    scans = register_scans(*read, poses, model, body_T_sensor=sensor.body_T_sensor, pose_covariances=known)
     segment = partial(segment_scans, scans.points, scans.covariances, viewpoints=scans.viewpoints)
     return Scene(scans.points, segment, 0.03, simulated.arrays("vertical").labels + 1, LEAST_POINTS)
 
 
 @cache
-def labelled(name: str) -> Scene:
+def labelled(read: Callable, distance_m: float) -> Scene:
     """A frame with labels."""
-    points, sigma, truth = {
-        "icl": partial(icl_frame, DATA),
-        "kinect": partial(icl_frame, DATA, 0),
-        "synpeb": partial(synpeb_scan, DATA),
-    }[name]()
-    distance = {"icl": 0.005, "kinect": 0.03, "synpeb": 0.005}[name]
-    return Scene(points, partial(segment_scans, points, sigma=sigma), distance, truth)
+    points, sigma, truth = read(DATA)
+    return Scene(points, partial(segment_scans, points, sigma=sigma), distance_m, truth)
 
 
 @cache
 def corridor() -> Scene:
     """The first scan of the 3DTK corridor."""
     points, model = corridor_scan(DATA, 0), CORRIDOR_SENSOR
-    segment = partial(
-        segment_scans,
-        points,
-        model.covariances(points),
-        viewpoints=(0.0, 0.0, 0.0),
-        pose_covariances=np.tile(model.scan_covariance(), (len(points), 1, 1)),
-        config=MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
-    )
+    given = {
+        "pose_covariances": np.tile(model.scan_covariance(), (len(points), 1, 1)),
+        "config": MapperConfig(flatness_m=0.5 * model.surface_sigma_m),
+    }
+    segment = partial(segment_scans, points, model.covariances(points), viewpoints=(0.0, 0.0, 0.0), **given)
     return Scene(points, segment, 0.05, None)
 
 
@@ -148,8 +133,7 @@ def open3d_patches(points: FloatArray) -> list[tuple[FloatArray, Any]]:
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(30))
-    boxes = cloud.detect_planar_patches()
-    return [(np.append(box.R[:, 2], -(box.R[:, 2] @ box.center)), box) for box in boxes]
+    return [(np.append(box.R[:, 2], -(box.R[:, 2] @ box.center)), box) for box in cloud.detect_planar_patches()]
 
 
 def patch_labels(points: FloatArray, patches: list[tuple[FloatArray, Any]]) -> np.ndarray:
@@ -231,21 +215,16 @@ def contenders(build: Callable[[], Scene], repeats: int = 5) -> list:
     ours = Task("spplanes", scene.segment, lambda found: score(scene, found[0], len(found[1])), repeats)
     if not find_spec("open3d"):
         return [ours]
-    return [
-        ours,
-        Task(
-            "Open3D, patches",
-            partial(open3d_patches, cloud),
-            lambda found: score(scene, spread(scene, patch_labels(cloud, found)), len(found)),
-            min(repeats, 3),
-        ),
-        Task(
-            "Open3D, segment_plane",
-            partial(open3d_ransac, cloud, scene.distance_m),
-            lambda labels: score(scene, spread(scene, labels), int(labels.max()) + 1),
-            1,
-        ),
-    ]
+
+    def of_patches(found: list[tuple[FloatArray, Any]]) -> Row:
+        return score(scene, spread(scene, patch_labels(cloud, found)), len(found))
+
+    def of_labels(labels: np.ndarray) -> Row:
+        return score(scene, spread(scene, labels), int(labels.max()) + 1)
+
+    patches = Task("Open3D, patches", partial(open3d_patches, cloud), of_patches, min(repeats, 3))
+    ransac = partial(open3d_ransac, cloud, scene.distance_m)
+    return [ours, patches, Task("Open3D, segment_plane", ransac, of_labels, 1)]
 
 
 def rooms() -> list[Task]:
@@ -259,9 +238,7 @@ def rooms() -> list[Task]:
         return {"correct": f"{correct[0]}/{correct[1]}", "planes": sum(row["planes"] for row in rows), **shares}
 
     def score_ours(found: list[tuple[np.ndarray, list[Plane]]]) -> Row:
-        return together(
-            [score(scene, labels, len(planes)) for scene, (labels, planes) in zip(scenes, found, strict=True)]
-        )
+        return together([score(one, labels, len(f)) for one, (labels, f) in zip(scenes, found, strict=True)])
 
     def score_patches(found: list[list[tuple[FloatArray, Any]]]) -> Row:
         every = zip(scenes, clouds, found, strict=True)
@@ -273,12 +250,13 @@ def rooms() -> list[Task]:
     return [ours, Task("Open3D, patches", lambda: [open3d_patches(cloud) for cloud in clouds], score_patches, 1)]
 
 
+_KINECT = partial(icl_frame, noise_seed=0)
 _ALL: dict[str, tuple[str, Case]] = {
     "corridor mission, 1083 scans": ("", partial(contenders, mission, 3)),
     "3dtk_corridor, scan 0": ("3dtk_corridor", partial(contenders, corridor)),
-    "icl_labelled": ("icl_labelled", partial(contenders, partial(labelled, "icl"))),
-    "icl_labelled with a Kinect's noise": ("icl_labelled", partial(contenders, partial(labelled, "kinect"))),
-    "synpeb": ("synpeb", partial(contenders, partial(labelled, "synpeb"))),
+    "icl_labelled": ("icl_labelled", partial(contenders, partial(labelled, icl_frame, 0.005))),
+    "icl_labelled with a Kinect's noise": ("icl_labelled", partial(contenders, partial(labelled, _KINECT, 0.03))),
+    "synpeb": ("synpeb", partial(contenders, partial(labelled, synpeb_scan, 0.005))),
     "6 rooms of polyhedra, 500 x 500 each": ("", rooms),
 }
 CASES: dict[str, Case] = {name: case for name, (folder, case) in _ALL.items() if (DATA / folder).is_dir()}

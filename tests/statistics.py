@@ -27,8 +27,7 @@ def assert_mean_in_band(values: np.ndarray, dof: int, level: float = 0.99) -> No
 
 def central_differences(f: Callable[[np.ndarray], np.ndarray], x: np.ndarray, step: float = 1e-5) -> np.ndarray:
     """Jacobian of ``f`` at ``x`` (n,), shape (m, n)."""
-    x = np.asarray(x, dtype=float)
-    columns = []
+    x, columns = np.asarray(x, dtype=float), []
     for k in range(len(x)):
         delta = np.zeros_like(x)
         delta[k] = step

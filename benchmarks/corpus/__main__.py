@@ -15,25 +15,14 @@ from benchmarks._child import as_json
 from benchmarks.corpus.catalogue import Entry, corpus, drawn
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
-from benchmarks.corpus.summary import by_kind, compared, key
+from benchmarks.corpus.summary import by_kind, compared, digits, key
 
 #: Longest that a drive may take, s.
 LIMIT_S = 900.0
 #: Columns of a row as it is printed when it comes.
 _SHOWN = (
-    "drive",
-    "seed",
-    "state",
-    "rmse, m",
-    "worst, m",
-    "sigma, m",
-    "judged",
-    "pose NEES",
-    "planes",
-    "plane NEES/dof",
-    "duplicates",
-    "verdict",
-    "CPU s",
+    "drive; seed; state; rmse, m; worst, m; sigma, m; judged; pose NEES; planes; plane NEES/dof; duplicates; verdict"
+    "; CPU s"
 )
 
 
@@ -53,9 +42,7 @@ def add_choice(one: argparse.ArgumentParser) -> None:
     one.add_argument("--short", action="store_true", help="every kind once")
     one.add_argument("--seeds", type=seeds_of, default=range(1), metavar="A:B", help="seeds from A to B - 1; 0:1")
     one.add_argument("--kind", nargs="+", default=[], metavar="NAME", help="part of a drive's name, pattern, or name")
-    one.add_argument(
-        "--draw", type=int, metavar="N", help="N drives at random out of all combinations, by seed from A on"
-    )
+    one.add_argument("--draw", type=int, metavar="N", help="N drives out of all combinations, by seed from A on")
     one.add_argument("--limit", type=float, default=LIMIT_S, metavar="S", help="longest that a drive may take, s")
 
 
@@ -70,9 +57,8 @@ def seeds_of(word: str) -> range:
 
 def chosen(asked: argparse.Namespace) -> list[Entry]:
     """The drives that are asked for."""
-    if asked.draw is not None:
-        return drawn(asked.draw, asked.seeds)
-    return corpus(asked.seeds, short=asked.short, kinds=asked.kind)
+    by_name = asked.draw is None
+    return corpus(asked.seeds, short=asked.short, kinds=asked.kind) if by_name else drawn(asked.draw, asked.seeds)
 
 
 def main(words: Sequence[str]) -> int:
@@ -97,18 +83,15 @@ def main(words: Sequence[str]) -> int:
 
 def _kept(asked: argparse.Namespace) -> list[Row]:
     """Rows of an interrupted run."""
-    if not asked.resume:
-        return []
-    if asked.json is None:
+    if asked.resume and asked.json is None:
         raise ValueError("--resume: expected --json FILE with it, got none")
-    return read_rows(asked.json) if asked.json.exists() else []
+    return read_rows(asked.json) if asked.resume and asked.json.exists() else []
 
 
 def _run(entries: Sequence[Entry], kept: Sequence[Row], asked: argparse.Namespace) -> list[Row]:
     """The rows kept and those of all other drives, on disk as soon as they are there."""
-    done = {key(row) for row in kept}
+    done, rows = {key(row) for row in kept}, list(kept)
     jobs: list[Job] = [(entry, {}) for entry in entries if (entry.name, entry.seed) not in done]
-    rows = list(kept)
     for row in printed(rows_of(jobs, asked.limit)):
         rows.append(row)
         if asked.json:
@@ -123,34 +106,22 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 def publish(name: str, lines: list[Row], *, short: bool, seconds: float) -> None:
     """Put a table among the results kept, and write their page."""
-    result = {**_page.circumstances(), "short": short, "rows": lines, "seconds": seconds, "peak_MB": children_mb()}
+    peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0  # of the processes that ran the drives
+    result = {**_page.circumstances(), "short": short, "rows": lines, "seconds": seconds, "peak_MB": peak_mb}
     _page.PAGE.write_text(_page.page(_page.store({name: json.loads(json.dumps(result, default=as_json))})))
-
-
-def children_mb() -> float:
-    """Largest resident size of the processes that ran the drives, MB."""
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
 
 
 def printed(rows: Iterator[Row]) -> Iterator[Row]:
     """The rows, each on the screen as it comes."""
     for row in rows:
-        print(", ".join(f"{name} {_cell(row[name])}" for name in _SHOWN if row.get(name) is not None), flush=True)
+        shown = [name for name in _SHOWN.split("; ") if row.get(name) is not None]
+        print(", ".join(f"{name} {digits(row[name])}" for name in shown), flush=True)
         yield row
 
 
-def _cell(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
 def read_rows(path: Path) -> list[Row]:
-    """Rows that `--json` wrote.
-
-    Raises:
-        ValueError: the file holds something else.
-    """
+    """Rows that `--json` wrote; a file that holds something else is a ValueError."""
     try:
-        rows = json.loads(path.read_text())["rows"]
+        return json.loads(path.read_text())["rows"]
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise ValueError(f"{path}: expected rows that --json wrote, got something else") from error
-    return rows

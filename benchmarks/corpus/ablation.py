@@ -76,8 +76,7 @@ def table(runs: Mapping[str, Sequence[Row]]) -> list[Row]:
 
 def _line(name: str, before: Sequence[Row], after: Sequence[Row]) -> Row:
     done = [row for row in after if row["state"] == "ok"]
-    worst = [row["worst, m"] for row in done if "worst, m" in row]
-    ratios = _ratios(before, after)
+    worst, ratios = [row["worst, m"] for row in done if "worst, m" in row], _ratios(before, after)
     worse, better = _moved(ratios)
     touched = np.array([one for one in ratios.values() if one != 0.0])
     return {
@@ -110,9 +109,7 @@ def _moved(ratios: Mapping[tuple[str, int], float]) -> tuple[list[str], list[str
             for kind in Entry(drive, seed).kinds:
                 groups[kind].append(ratio)
     worse, better = [], []
-    for kind, values in groups.items():
-        if len(values) < _FEWEST:
-            continue
+    for kind, values in ((kind, some) for kind, some in groups.items() if len(some) >= _FEWEST):
         mean, error = float(np.mean(values)), float(np.std(values, ddof=1)) / np.sqrt(len(values))
         if abs(mean) > _STANDARD_ERRORS * error:
             (worse if mean > 0.0 else better).append(f"{kind} ({np.exp(mean):.2f} x)")

@@ -70,15 +70,7 @@ HANDHELD = [f"{HANDHELD_WORD}/{kind}" for kind in _KINDS]
 
 
 def make_handheld(name: str, seed: int) -> Drive:
-    """Draw the room, the way and the noise from the seed.
-
-    Args:
-        name: out of `HANDHELD`.
-        seed: which one of its kind.
-
-    Raises:
-        ValueError: another name.
-    """
+    """Draw the room, the way and the noise of one out of `HANDHELD` from the seed."""
     if name not in HANDHELD:
         raise ValueError(f"name: expected one of {', '.join(HANDHELD)}, got {name!r}")
     carried = _KINDS[name.removeprefix(f"{HANDHELD_WORD}/")]
@@ -107,8 +99,7 @@ def _room(carried: _Carried, rng: np.random.Generator) -> PolygonWorld:
 
 def _poses(carried: _Carried, rng: np.random.Generator) -> FloatArray:
     """world_T_body at every image, shape (N, 4, 4)."""
-    times_s = np.arange(carried.images) / carried.rate_hz
-    turn = np.deg2rad(carried.turn_deg_per_s)
+    times_s, turn = np.arange(carried.images) / carried.rate_hz, np.deg2rad(carried.turn_deg_per_s)
 
     def wave(peak_rate: float, period_s: float, most: float = np.inf) -> FloatArray:
         """The sum of three waves of about that period, its rate at most so high, itself at most so far from nought."""
@@ -130,10 +121,9 @@ def _poses(carried: _Carried, rng: np.random.Generator) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Camera:
-    """A camera with the errors of its depths."""
+    """A camera, a fan of beams for every row of pixels, with the errors of its depths."""
 
     beams: Beams
-    """Of its pixels, a fan for every row."""
     false: FloatArray
     """By what share depths are false, shape (H, W)."""
     drops: bool
@@ -144,15 +134,12 @@ class _Camera:
         """One camera out of many."""
         beams = camera_beams(_ROWS, _COLUMNS, _FOCAL)
         x, y = np.moveaxis(beams.directions[..., :2] / beams.directions[..., 2:], -1, 0)
-        waves = np.column_stack(
-            [rng.uniform(-1.5, 1.5, (6, 2)), rng.normal(0.0, _FALSE_SHARE, 6), rng.uniform(0, 7, 6)]
-        )
+        waves = [rng.uniform(-1.5, 1.5, (6, 2)), rng.normal(0.0, _FALSE_SHARE, 6), rng.uniform(0, 7, 6)]
+        waves = np.column_stack(waves)
         false = np.sum([c * np.cos(2.0 * np.pi * (a * x + b * y) + start) for a, b, c, start in waves], axis=0)
         return cls(beams, false if carried.sparse else np.zeros_like(x), carried.sparse)
 
-    def image(
-        self, world: PolygonWorld, world_T_camera: FloatArray, rng: np.random.Generator
-    ) -> tuple[FloatArray, np.ndarray]:
+    def image(self, world: PolygonWorld, world_T_camera: FloatArray, rng: np.random.Generator) -> tuple:
         """Points (H, W, 3) in the camera's frame, NaN for no depth, and the plane of each, (H, W)."""
         turn, directions = world_T_camera[:3, :3], self.beams.directions
         origins = np.tile(world_T_camera[:3, 3], (_ROWS, 1))

@@ -70,10 +70,7 @@ def half(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
 def late(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
     """Odometry stamped a tenth of a second later or earlier than it was read."""
     shift = int(rng.choice([-1.0, 1.0]) * _LATE_S * 1e9)
-    moved = [
-        replace(event, stamp_ns=event.stamp_ns + shift) if isinstance(event, OdometryReading) else event
-        for event in log.events
-    ]
+    moved = [replace(e, stamp_ns=e.stamp_ns + shift) if isinstance(e, OdometryReading) else e for e in log.events]
     return replace(log, events=in_order(moved))
 
 
@@ -84,12 +81,7 @@ def absent(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
 
 #: Kinds of perturbations of a log of 2D scans and wheel odometry.
 PERTURBATIONS: dict[str, Perturbation] = {
-    "heading3": heading3,
-    "slips": slips,
-    "noise2": noise2,
-    "half": half,
-    "late": late,
-    "absent": absent,
+    change.__name__: change for change in (heading3, slips, noise2, half, late, absent)
 }
 
 
@@ -100,15 +92,9 @@ def _deltas(log: Log) -> list[FloatArray]:
 
 def _turned(log: Log, deltas: Sequence[FloatArray], turns: FloatArray) -> Log:
     """The log with steps of the odometry, each of which turns by so much more, rad."""
-    pose = log.odometry[0].odom_T_body
-    poses = [pose]
+    poses = [log.odometry[0].odom_T_body]
     for (x, y, theta), more in zip(deltas, turns, strict=True):
-        pose = pose @ planar_transform(x, y, theta + float(more))
-        poses.append(pose)
+        poses.append(poses[-1] @ planar_transform(x, y, theta + float(more)))
     moved = iter(poses)
-    return replace(
-        log,
-        events=[
-            replace(one, odom_T_body=next(moved)) if isinstance(one, OdometryReading) else one for one in log.events
-        ],
-    )
+    turned = [replace(e, odom_T_body=next(moved)) if isinstance(e, OdometryReading) else e for e in log.events]
+    return replace(log, events=turned)

@@ -53,20 +53,12 @@ class PolygonBuilder(WorldBuilder):
     _whole: set[int] = field(default_factory=set)
 
     def add_polygon(
-        self,
-        rings: Sequence[ArrayLike],
-        *,
-        toward: ArrayLike,
-        plane: int | None = None,
-        glass: bool = False,
+        self, rings: Sequence[ArrayLike], *, toward: ArrayLike, plane: int | None = None, glass: bool = False
     ) -> int:
         """Add a planar polygon of any tilt, seen from the point `toward`; the index of its plane, or `GLASS`.
 
-        Args:
-            rings: corners (K, 3) of the outer ring, then of its holes, m; all in the plane of the outer ring.
-            toward: a point on the side it is seen from, m.
-            plane: enlarge this plane, made of polygons and in the same place, in place of a new one.
-            glass: beams end here and do not come back; it is no plane of the truth.
+        Rings are corners (K, 3) of the outer ring, then of its holes, m, all in one plane. A `plane` given, made of
+        polygons and in the same place, is enlarged in place of a new one. Beams that end in glass do not come back.
         """
         corners = [np.asarray(ring, dtype=np.float64) for ring in rings]
         if plane is None:
@@ -133,9 +125,7 @@ def _inside(x, y, edges, first, last):
 @inlined
 def _polygon_crosses(frame, edges, first, last, origin, normal):
     """Whether a polygon has corners on both sides of the plane through `origin`, or on it."""
-    offset = 0.0
-    slope_x = 0.0
-    slope_y = 0.0
+    offset, slope_x, slope_y = 0.0, 0.0, 0.0
     for k in range(3):
         offset += normal[k] * (frame[k, 3] - origin[k])
         slope_x += normal[k] * frame[k, 0]
@@ -151,12 +141,7 @@ def _polygon_crosses(frame, edges, first, last, origin, normal):
 def cast_polygons(origins, rays, scan_normals, frames, edges, first_edges, planes, ranges, labels):
     """Enter the polygons that are nearer than what the rays hit so far into `ranges` and `labels`, both (S, B).
 
-    Args:
-        origins, rays, scan_normals: as for `slam.simulation.world.cast_scans`.
-        frames: of each polygon, shape (G, 4, 4): it lies in x and y, z is its normal.
-        edges: of all rings of all polygons, rows (x0, y0, x1, y1) in their polygon's frame, shape (E, 4), m.
-        first_edges: where the edges of each polygon begin, and where the last one's end, shape (G + 1,).
-        planes: label of each polygon, shape (G,).
+    Rays are as for `slam.simulation.world.cast_scans`, polygons as in `PolygonWorld`; z of a frame is its normal.
     """
     for s in range(rays.shape[0]):
         for g in range(frames.shape[0]):

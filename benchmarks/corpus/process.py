@@ -39,11 +39,7 @@ def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
 
 
 def changed(changes: dict[str, dict[str, Any]]) -> SlamConfig:
-    """The default configuration but for some fields of some sections.
-
-    Raises:
-        ValueError: a section or a field that there is not, or a value that it cannot have.
-    """
+    """The default configuration but for some fields of some sections; ValueError: what there is not, or cannot be."""
     whole = SlamConfig().model_dump()
     for name, fields in changes.items():
         if name not in whole:

@@ -32,9 +32,8 @@ class RealLog:
     path: str
     """File or folder below the data."""
     truth: str
-    """What is known, in a few words."""
     errors: Callable[[Run, Path], PoseErrors] | None = None
-    """Errors of a run; None: nothing is known."""
+    """Of a run; None: nothing is known."""
 
 
 def _relations(name: str) -> Callable[[Run, Path], PoseErrors]:

@@ -54,14 +54,11 @@ def score(run: Run, drive: Drive) -> Row:
     move = np.eye(4) if in_map else truth_T_estimate(run.trajectory, drive.truth.trajectory)
     scans = Trajectory(run.scan_trajectory.stamps_ns, move @ run.scan_trajectory.poses)
     errors = absolute_error(scans, drive.truth.trajectory, alignment="none")
-    worst = int(np.argmax(errors.translation_m))
     stamps, _, _ = common_poses(scans, drive.truth.trajectory)
     row = error_row(errors)
-    sigma = _sigma_at(run, drive, int(stamps[worst]), in_map=in_map)
+    sigma = _sigma_at(run, drive, int(stamps[np.argmax(errors.translation_m)]), in_map=in_map)
     row |= {"sigma, m": sigma, "judged": judged(row["worst, m"], row["rmse, m"], sigma, drive.recipe.disturbance)}
-    row |= _last_pose(run, drive, in_map=in_map)
-    row |= _landmarks(run, drive, move)
-    return row | said_row(run)
+    return row | _last_pose(run, drive, in_map=in_map) | _landmarks(run, drive, move) | said_row(run)
 
 
 def error_row(errors: PoseErrors) -> Row:
@@ -124,8 +121,7 @@ def _variance_between(run: Run, stamp_ns: int) -> float:
 
 def _error_of(run: Run, drive: Drive, keyframe: int, *, in_map: bool) -> FloatArray:
     """Error of a keyframe's pose in its own frame, (rx, ry, rz, x, y, z), as its covariance has it."""
-    estimated = run.trajectory.poses
-    true = drive.truth.poses_at(run.trajectory.stamps_ns)
+    estimated, true = run.trajectory.poses, drive.truth.poses_at(run.trajectory.stamps_ns)
     start = np.eye(4) if in_map else estimated[0] @ inverse(true[0])
     return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(start @ true[keyframe]) @ estimated[keyframe]))
 
@@ -133,13 +129,10 @@ def _error_of(run: Run, drive: Drive, keyframe: int, *, in_map: bool) -> FloatAr
 def _last_pose(run: Run, drive: Drive, *, in_map: bool) -> Row:
     """NEES of the last pose: in the floor plane where odometry and floor hold the rest, else of all six."""
     last = len(run.trajectory) - 1
-    error = _error_of(run, drive, last, in_map=in_map)
-    covariance = run.slam.marginal_covariance(pose_symbol(last))
     part = IN_PLANE if drive.level and drive.log.odometry else list(range(6))
-    if last == 0:
-        return {"pose NEES": None, "pose dof": len(part)}
-    nees = float(error[part] @ np.linalg.solve(covariance[np.ix_(part, part)], error[part]))
-    return {"pose NEES": nees, "pose dof": len(part)}
+    error = _error_of(run, drive, last, in_map=in_map)[part]
+    covariance = run.slam.marginal_covariance(pose_symbol(last))[np.ix_(part, part)]
+    return {"pose NEES": float(error @ np.linalg.solve(covariance, error)) if last else None, "pose dof": len(part)}
 
 
 def _landmarks(run: Run, drive: Drive, move: FloatArray) -> Row:
@@ -148,9 +141,8 @@ def _landmarks(run: Run, drive: Drive, move: FloatArray) -> Row:
     planes = [_with_outline(one).transform(move) for one in run.planes]
     matches = match_planes(planes, drive.truth.planes)
     dof = np.array([3 if of_planes[match.estimated] else 2 for match in matches])
-    nees = np.array(
-        [_nees(planes[m.estimated], drive.truth.planes[m.true], k) for m, k in zip(matches, dof, strict=True)]
-    )
+    pairs = [(planes[match.estimated], drive.truth.planes[match.true]) for match in matches]
+    nees = np.array([_nees(*pair, k) for pair, k in zip(pairs, dof, strict=True)])
     true, wanted = {match.true for match in matches}, drive.truth.visible_in_3d()
     return {
         "planes": len(planes),

@@ -23,12 +23,10 @@ START_M = -1.0
 
 @dataclass(frozen=True)
 class Door:
-    """A doorway without a leaf, in the wall between the corridor and a room."""
+    """A doorway without a leaf, in the wall between the corridor and a room: from where to where along x, m."""
 
     start_m: float
-    """Where it begins, along x, m."""
     end_m: float
-    """Where it ends, along x, m."""
     height_m: float
     """Of its lintel above the floor, m."""
 
@@ -40,16 +38,12 @@ class Door:
 
 @dataclass(frozen=True)
 class SuiteRoom:
-    """A rectangle of free space, its faces along x and y."""
+    """A rectangle of free space, its faces along x and y: from its lowest corner (x0, y0) to its highest, m."""
 
     x0: float
-    """Its lowest x, m."""
     y0: float
-    """Its lowest y, m."""
     x1: float
-    """Its highest x, m."""
     y1: float
-    """Its highest y, m."""
     door: Door | None = None
     """The doorway to the corridor; None for the corridor itself."""
 
@@ -80,9 +74,8 @@ class Suite:
     """The truth of a suite."""
 
     corridor: SuiteRoom
-    """The corridor, along x."""
     rooms: tuple[SuiteRoom, ...]
-    """The rooms, those above the corridor first, each by ascending x."""
+    """Those above the corridor, which is along x, first, each by ascending x."""
     wall_m: float
     """Thickness of the walls between corridor and rooms, m."""
     partition_m: float
@@ -102,11 +95,8 @@ class Suite:
     def _faces_are_apart(self) -> bool:
         """Whether faces that look the same way are one plane, or further apart than what could be taken for one."""
         spaces = (self.corridor, *self.rooms)
-        for side in ("x0", "y0", "x1", "y1"):
-            places = np.unique([getattr(room, side) for room in spaces])
-            if np.any(np.diff(places) < _APART_M):
-                return False
-        return True
+        faces = ([getattr(room, side) for room in spaces] for side in ("x0", "y0", "x1", "y1"))
+        return not any(np.any(np.diff(np.unique(places)) < _APART_M) for places in faces)
 
     @classmethod
     def _drawn(cls, rng: np.random.Generator, rooms_a_side: int) -> Suite:
@@ -174,22 +164,20 @@ class Suite:
 
     def _doors_at(self, y: float) -> list[Door]:
         """Doorways that cut the plane at this y: of the corridor's wall, or of a room's."""
-        found = []
-        for room in self.rooms:
-            near, beyond = (room.y0, self.corridor.y1) if room.y0 > 0.0 else (room.y1, self.corridor.y0)
-            if room.door is not None and y in (near, beyond):
-                found.append(room.door)
-        return found
+        return [room.door for room in self.rooms if room.door is not None and y in self._behind(room)]
+
+    def _behind(self, room: SuiteRoom) -> tuple[float, float]:
+        """Both faces of the wall between a room and the corridor, y, m, the lower one first."""
+        return (self.corridor.y1, room.y0) if room.y0 > 0.0 else (room.y1, self.corridor.y0)
 
     def _add_doorway(
         self, builder: PolygonBuilder, room: SuiteRoom, door: Door, floor_m: float, floor: int | None
     ) -> None:
-        low, high = (self.corridor.y1, room.y0) if room.y0 > 0.0 else (room.y1, self.corridor.y0)
-        middle: Any = ((door.start_m + door.end_m) / 2.0, (low + high) / 2.0, floor_m + 1.0)
+        (low, high), top = self._behind(room), floor_m + door.height_m
+        middle: Any = (room.door_x, (low + high) / 2.0, floor_m + 1.0)
         builder.add_polygon([_level(door.start_m, low, door.end_m, high, floor_m)], toward=middle, plane=floor)
-        builder.add_polygon([_level(door.start_m, low, door.end_m, high, floor_m + door.height_m)], toward=middle)
+        builder.add_polygon([_level(door.start_m, low, door.end_m, high, top)], toward=middle)
         for x in (door.start_m, door.end_m):
-            top = floor_m + door.height_m
             ring = np.array([(x, low, floor_m), (x, high, floor_m), (x, high, top), (x, low, top)])
             builder.add_polygon([ring], toward=middle)
 

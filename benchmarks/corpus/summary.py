@@ -51,10 +51,7 @@ def _line(kind: str, rows: Sequence[Row]) -> Row:
         "duplicates, %": _share(done, "duplicates"),
         "invented, %": _share(done, "invented"),
         "sound/doubtful/broken": _verdicts(done),
-        "wrong, warned": warned(done, "wrong"),
-        "right, warned": warned(done, "right"),
-        "misled, warned": warned(done, "misled"),
-        "open, warned": warned(done, "open"),
+        **{f"{judged}, warned": warned(done, judged) for judged in ("wrong", "right", "misled", "open")},
     }
 
 
@@ -80,9 +77,7 @@ def plane_nees(rows: Sequence[Row]) -> str | None:
 def warned(rows: Sequence[Row], judged: str) -> str | None:
     """How many of the runs that truth calls so did call themselves doubtful or broken."""
     meant = [row["verdict"] for row in rows if row.get("judged") == judged]
-    if not meant:
-        return None
-    return f"{sum(word in WARNED for word in meant)} of {len(meant)}"
+    return f"{sum(word in WARNED for word in meant)} of {len(meant)}" if meant else None
 
 
 def _verdicts(rows: Sequence[Row]) -> str:
@@ -129,9 +124,13 @@ def failed(rows: Sequence[Row]) -> int:
     return sum(not row["state"].startswith(("ok", "skipped")) for row in rows)
 
 
+def digits(value: Any) -> str:
+    """A value in few digits."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
 def _arrow(old: Any, new: Any) -> str | None:
-    """Old and new in few digits; one of them where they are alike."""
-    words = [f"{value:.3g}" if isinstance(value, float) else str(value) for value in (old, new)]
+    """Old and new; one of them where they are alike."""
     if old is None and new is None:
         return None
-    return words[0] if words[0] == words[1] else " -> ".join(words)
+    return " -> ".join(dict.fromkeys((digits(old), digits(new))))

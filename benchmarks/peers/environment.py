@@ -34,11 +34,7 @@ def peer_python() -> Path | None:
 
 
 def make() -> Path:
-    """Make the environment, or leave it as it is where it works; its interpreter.
-
-    Raises:
-        RuntimeError: it could not be made, in pip's words.
-    """
+    """Make the environment, or leave it as it is where it works; its interpreter."""
     python = peer_python()
     if python is not None:
         with suppress(RuntimeError):
@@ -50,11 +46,7 @@ def make() -> Path:
 
 
 def call(script: str, arrays: dict[str, Any], *words: str) -> Any:
-    """What a script of this folder prints for these arrays, run by the peers' interpreter.
-
-    Raises:
-        RuntimeError: there is none, or the script failed.
-    """
+    """What a script of this folder prints for these arrays, run by the peers' interpreter; RuntimeError: why not."""
     python = peer_python()
     if python is None:
         raise RuntimeError(ABSENT)
@@ -66,10 +58,7 @@ def call(script: str, arrays: dict[str, Any], *words: str) -> Any:
 
 def version(package: str) -> str | None:
     """Version of a package in the peers' environment; None where it is not."""
-    python = peer_python()
-    if python is None:
-        return None
-    try:
-        return printed_by(python, "-c", f"from importlib.metadata import version; print(version({package!r}))").strip()
-    except RuntimeError:
-        return None
+    python, ask = peer_python(), f"from importlib.metadata import version; print(version({package!r}))"
+    with suppress(RuntimeError):
+        return None if python is None else printed_by(python, "-c", ask).strip()
+    return None

@@ -65,8 +65,7 @@ def test_nees_of_a_wall_seen_by_lines_leaves_its_lean_out():
     """Truth drawn from the estimate's covariance: 2 degrees of freedom, whatever the lean is."""
     rng = np.random.default_rng(0)
     spread = rng.standard_normal((3, 3)) * 0.01
-    wall = Plane.from_hesse((0.6, 0.8, 0.0), 2.0, spread @ spread.T, centre=(1.0, 3.0, 0.5))
-    values = []
+    wall, values = Plane.from_hesse((0.6, 0.8, 0.0), 2.0, spread @ spread.T, centre=(1.0, 3.0, 0.5)), []
     for _ in range(2000):
         z, theta, psi = spread @ rng.standard_normal(3)
         turn = np.array([[1.0, 0.0, theta, 0.0], [0.0, 1.0, -psi, 0.0], [-theta, psi, 1.0, z], [0.0, 0.0, 0.0, 1.0]])

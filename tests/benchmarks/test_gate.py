@@ -51,8 +51,7 @@ def test_accuracy_is_that_of_ours_alone_and_grows_as_it_gets_worse():
 
 
 def test_accuracy_has_its_slack_and_no_more():
-    name = "scenes: frame: purity, %"
-    slack = _gate.ACCURACY["purity, %"].slack
+    name, slack = "scenes: frame: purity, %", _gate.ACCURACY["purity, %"].slack
     for more, expected in ((0.9 * slack, 0), (1.1 * slack, 1)):
         verdict = _gate.judge(figures(accuracy={name: 1.1 + more}), figures(accuracy={name: 1.0}))
         assert verdict.exit_code == expected

@@ -19,8 +19,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
     """300 m in steps of 10 cm, each with a turn of a tenth of a radian to either side, and a scan at every step."""
     events, pose = [], np.eye(4)
     for k in range(3000):
-        pose = pose @ planar_transform(0.1, 0.0, 0.1 * (-1) ** k)
-        ranges = np.full(180, 3.0)
+        pose, ranges = pose @ planar_transform(0.1, 0.0, 0.1 * (-1) ** k), np.full(180, 3.0)
         events.append(OdometryReading(100_000_000 * k, pose))
         events.append(LaserScan(100_000_000 * k, "FLASER", ranges, np.linspace(-1.5, 1.5, 180)))
     return Log(events, tmp_path_factory.mktemp("log") / "made.clf")

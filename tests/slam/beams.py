@@ -26,8 +26,7 @@ class BeamErrors(NamedTuple):
 def beam_errors(mission: Mission | Drive, sensor: str) -> BeamErrors:
     """Of all scans of the sensor, every one taken at a single pose."""
     normals = np.array([plane.normal for plane in mission.truth.planes])
-    offsets = np.array([plane.d for plane in mission.truth.planes])
-    found = []
+    offsets, found = np.array([plane.d for plane in mission.truth.planes]), []
     for scan, labels in zip(mission.log.scans(sensor), mission.truth.labels[sensor], strict=True):
         if isinstance(scan, LaserScan):
             beams = np.column_stack([np.cos(scan.angles), np.sin(scan.angles), 0.0 * scan.angles])

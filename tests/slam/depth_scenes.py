@@ -5,7 +5,6 @@ import numpy as np
 from slam.config import SlamConfig
 from slam.frontend.measurement import ScanMeasurement, measured_cloud
 from slam.frontend.scan_surfaces import ON_PLANE, SHARE_ON_PLANE
-from slam.geometry.frames import inverse, lift
 from slam.io.clouds.depth import Camera
 from slam.sensors.log import CloudScan
 from slam.sensors.rig import Mount, Sensor
@@ -34,8 +33,7 @@ def looking(x: float, y: float, z: float, yaw: float, pitch: float) -> FloatArra
 
 def seen_from(world_T_body: FloatArray, rng: np.random.Generator, noise_m: float = 0.002) -> FloatArray:
     """Points (120, 160, 3) of the camera, in its own frame, with noise along the ray."""
-    rays = CAMERA.points(np.ones((120, 160)))
-    world_T_camera = world_T_body @ MOUNT
+    rays, world_T_camera = CAMERA.points(np.ones((120, 160))), world_T_body @ MOUNT
     directions, eye = rays @ world_T_camera[:3, :3].T, world_T_camera[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = np.where(directions[..., 2] < 0.0, -eye[2] / directions[..., 2], np.inf)
@@ -50,16 +48,6 @@ def seen_from(world_T_body: FloatArray, rng: np.random.Generator, noise_m: float
 def measured(world_T_body: FloatArray, rng: np.random.Generator) -> ScanMeasurement:
     """Planes and surface elements of such an image."""
     return measured_cloud(CloudScan(0, "camera", seen_from(world_T_body, rng)), SENSOR, SlamConfig())
-
-
-def in_world(points: FloatArray, world_T_body: FloatArray) -> FloatArray:
-    """Points (N, 3) of the body in the world."""
-    return lift(points, world_T_body)
-
-
-def between(world_T_a: FloatArray, world_T_b: FloatArray) -> FloatArray:
-    """a_T_b."""
-    return inverse(world_T_a) @ world_T_b
 
 
 def with_widths(rows: np.ndarray) -> np.ndarray:

@@ -76,8 +76,7 @@ class FloorPlan:
         """A straight wall with recessed doors that begin at distances along it; free space on its left."""
         a, b = np.array(start), np.array(end)
         along = (b - a) / np.linalg.norm(b - a)
-        back = np.array((along[1], -along[0])) * RECESS_M
-        corners = [a]
+        back, corners = np.array((along[1], -along[0])) * RECESS_M, [a]
         for door in doors:
             near, far = a + door * along, a + (door + width_m) * along
             corners += [near, near + back, far + back, far]
@@ -114,8 +113,7 @@ def drive(
     plan: FloorPlan, rng: np.random.Generator, laser: LaserSettings = LaserSettings(), wheels: Wheels = Wheels()
 ) -> Drive:
     """Drive the way, turning on the spot at its corners, a scan every 10 cm or 0.1 rad."""
-    true = _poses_along(np.array(plan.way))
-    walls = np.array(plan.walls)
+    true, walls = _poses_along(np.array(plan.way)), np.array(plan.walls)
     angles = np.linspace(-np.pi / 2, np.pi / 2, laser.n_beams)
     bumps = rng.normal(0.0, laser.unevenness_m, (len(walls), 256))
     slips = set(rng.integers(len(true) // 5, 4 * len(true) // 5, wheels.n_slips).tolist())
@@ -150,8 +148,7 @@ def _poses_along(corners: FloatArray) -> FloatArray:
             turn = float(np.remainder(direction - heading + np.pi, 2.0 * np.pi) - np.pi)
             n = int(np.ceil(abs(turn) / 0.1))
             rows += [(a[0], a[1], heading + turn * k / n) for k in range(1, n + 1)]
-        heading = direction
-        length = float(np.linalg.norm(step))
+        heading, length = direction, float(np.linalg.norm(step))
         rows += [(*(a + step * s / length), heading) for s in np.arange(0.0, length, 0.1)[1:]]
     return np.array(rows)
 
@@ -179,8 +176,7 @@ def cast(walls: FloatArray, bumps: FloatArray, pose: FloatArray, angles: FloatAr
         reach = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0])[:, None] / cross
         share = (rays[1] * start[:, 0, None] - rays[0] * start[:, 1, None]) / cross
     reach[~((reach > 0.0) & (share >= 0.0) & (share <= 1.0))] = np.inf
-    nearest = reach.argmin(axis=0)
-    beams = np.arange(angles.size)
+    nearest, beams = reach.argmin(axis=0), np.arange(angles.size)
     lengths = np.linalg.norm(along, axis=1)
     place = np.where(np.isfinite(reach[nearest, beams]), share[nearest, beams], 0.0) * lengths[nearest] / PATCH_M
     patch = np.clip(place, 0, bumps.shape[1] - 1).astype(int)

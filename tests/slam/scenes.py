@@ -60,11 +60,9 @@ def measured(plane: Plane, rng: np.random.Generator, sigmas: np.ndarray = SIGMAS
 
 def drive(seed: int, *, count: int = 15, turns: float = 0.75) -> Drive:
     """A drive round the room with odometry and planes drawn from their noise models."""
-    rng = np.random.default_rng(seed)
-    angle = np.linspace(0.0, 2.0 * np.pi * turns, count)
+    rng, angle = np.random.default_rng(seed), np.linspace(0.0, 2.0 * np.pi * turns, count)
     way = np.column_stack((1.5 * np.cos(angle), 1.5 * np.sin(angle), angle + np.pi / 2.0))
-    poses = np.array([planar_transform(*pose) for pose in way])
-    keyframes = []
+    poses, keyframes = np.array([planar_transform(*pose) for pose in way]), []
     for index, pose in enumerate(poses):
         motion = None
         if index:

@@ -39,8 +39,7 @@ def test_final_poses_and_planes_are_consistent_over_many_runs():
     poses, planes = [], []
     for seed in range(30):
         scene = drive(seed)
-        slam = run_of(scene.keyframes)
-        last = len(scene.keyframes) - 1
+        slam, last = run_of(scene.keyframes), len(scene.keyframes) - 1
         covariance, estimate = slam.marginal_covariance(pose_symbol(last)), slam.trajectory.poses[last]
         poses.append(planar_nees(covariance, scene.world_T_body[last], estimate))
         for map_plane in slam.planes:
@@ -106,8 +105,7 @@ def test_twins_are_found_by_chi2_and_joined_with_their_factors():
 
 
 def test_keyframes_out_of_order_are_refused():
-    scene = drive(6)
-    slam = PlaneSlam()
+    scene, slam = drive(6), PlaneSlam()
     slam.add_keyframe(scene.keyframes[0])
     with pytest.raises(ValueError, match="keyframe: expected a time after 0 ns, got 0 ns"):
         slam.add_keyframe(scene.keyframes[0])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.random import Generator
 from shapely import LineString, Point, Polygon, box
 from shapely.affinity import rotate, translate
 from shapely.geometry.polygon import orient
@@ -51,34 +52,26 @@ class Roof:
         """The pieces of a floor plan over which one plane is the ceiling."""
         if len(self.planes) < 2:
             return [plan]
-        gap = self.planes[plane] - self.planes[1 - plane]
-        side = _half_plane(gap, plan)
-        pieces = plan.intersection(side)
+        pieces = plan.intersection(_half_plane(self.planes[plane] - self.planes[1 - plane]))
         return [one for one in getattr(pieces, "geoms", [pieces]) if isinstance(one, Polygon) and one.area > 1e-3]
 
 
-def _half_plane(gap: FloatArray, plan: Polygon) -> Polygon:
-    """Where a + b x + c y <= 0, as far as a plan reaches."""
+def _half_plane(gap: FloatArray) -> Polygon:
+    """Where a + b x + c y <= 0, as far as any plan reaches."""
     normal = gap[1:] / np.linalg.norm(gap[1:])
     foot, along, reach = -gap[0] / np.linalg.norm(gap[1:]) * normal, np.array([-normal[1], normal[0]]), 1e3
     ends = (foot + reach * along, foot - reach * along)
     return Polygon([*ends, ends[1] - reach * normal, ends[0] - reach * normal])
 
 
-def add_shell(
-    builder: PolygonBuilder,
-    plan: Polygon,
-    roof: Roof,
-    *,
-    glass: dict[tuple[int, int], tuple[float, float]] | None = None,
-) -> None:
+#: Of ring and edge of a plan the part that is glass from floor to ceiling, from and to as shares of the edge.
+Panes = dict[tuple[int, int], tuple[float, float]]
+
+
+def add_shell(builder: PolygonBuilder, plan: Polygon, roof: Roof, *, glass: Panes | None = None) -> None:
     """Floor, ceiling and walls of the free space `plan`; walls in one line with each other are one plane.
 
-    Args:
-        builder: takes them.
-        plan: free space seen from above, m; its holes are blocks to drive round.
-        roof: the ceiling over it.
-        glass: of ring and edge the part that is glass from floor to ceiling, from and to as shares of the edge.
+    The plan is seen from above, m; its holes are blocks to drive round.
     """
     plan, known = tidy(plan), {}
     rings = [np.array(ring.coords)[:-1] for ring in (plan.exterior, *plan.interiors)]
@@ -106,19 +99,13 @@ def _at(points: FloatArray, heights: FloatArray) -> FloatArray:
 
 
 def _add_wall(
-    builder: PolygonBuilder,
-    a: FloatArray,
-    b: FloatArray,
-    roof: Roof,
-    known: dict[tuple[float, float, float], int],
-    glass: tuple[float, float] | None,
+    builder: PolygonBuilder, a: FloatArray, b: FloatArray, roof: Roof, known: dict, glass: tuple[float, float] | None
 ) -> None:
     """A wall from a to b, free space on the left; `known` holds the planes of walls by their line."""
     along = (b - a) / np.linalg.norm(b - a)
     inward = np.array([-along[1], along[0]])
     line = (round(float(inward[0]), 6), round(float(inward[1]), 6), round(float(inward @ a), 5))
-    cuts = [0.0, *(glass or ()), 1.0]
-    for k, (start, end) in enumerate(pairwise(cuts)):
+    for k, (start, end) in enumerate(pairwise([0.0, *(glass or ()), 1.0])):
         points = np.array(roof.cut(a + start * (b - a), a + end * (b - a)))
         low, high = _at(points[[0, -1]], np.zeros(2)), _at(points, roof.heights(points))[::-1]
         toward, transparent = (*(points.mean(axis=0) + inward), 1.0), glass is not None and k == 1
@@ -132,11 +119,10 @@ def add_furniture(
     builder: PolygonBuilder,
     plan: Polygon,
     way: LineString,
-    rng: np.random.Generator,
-    *,
+    rng: Generator,
     pieces: int,
     oblique: bool,
-    poles: int = 0,
+    poles=0,
 ) -> None:
     """Boxes and poles about in the free space, clear of the way; half of the oblique boxes have a slanted top."""
     free = plan.buffer(-0.02).difference(way.buffer(CLEAR_M))
@@ -144,8 +130,7 @@ def add_furniture(
         footprint = _placed(free, rng, oblique=oblique)
         if footprint is None:
             continue
-        free = free.difference(footprint.buffer(0.05))
-        height = rng.uniform(0.4, 1.9)
+        free, height = free.difference(footprint.buffer(0.05)), rng.uniform(0.4, 1.9)
         rise = rng.uniform(-0.3, 0.3) if oblique and rng.random() < 0.5 else 0.0
         _add_box(builder, footprint, height, height + rise * min(1.0, height))
     for _ in range(poles):
@@ -154,7 +139,7 @@ def add_furniture(
             builder.add_bar((*spot, 0.0), (*spot, rng.uniform(1.0, 2.4)), rng.uniform(0.03, 0.2))
 
 
-def _spot(free, rng: np.random.Generator) -> tuple[float, float] | None:
+def _spot(free, rng: Generator) -> tuple[float, float] | None:
     low_x, low_y, high_x, high_y = free.bounds
     for _ in range(50):
         spot = float(rng.uniform(low_x, high_x)), float(rng.uniform(low_y, high_y))
@@ -163,7 +148,7 @@ def _spot(free, rng: np.random.Generator) -> tuple[float, float] | None:
     return None
 
 
-def _placed(free, rng: np.random.Generator, *, oblique: bool) -> Polygon | None:
+def _placed(free, rng: Generator, *, oblique: bool) -> Polygon | None:
     """A rectangle somewhere in the free space; None where none fits."""
     for _ in range(20):
         spot = _spot(free, rng)
@@ -180,11 +165,9 @@ def _placed(free, rng: np.random.Generator, *, oblique: bool) -> Polygon | None:
 def _add_box(builder: PolygonBuilder, footprint: Polygon, front: float, back: float) -> None:
     """Four sides and a top that rises from the first edge of the footprint to the opposite one."""
     corners = np.array(orient(footprint).exterior.coords)[:4]
-    heights = np.array([front, front, back, back])
-    top, middle = _at(corners, heights), corners.mean(axis=0)
+    top, middle = _at(corners, np.array([front, front, back, back])), corners.mean(axis=0)
     builder.add_polygon([top], toward=(*middle, 5.0))
-    for k in range(4):
-        a, b = k, (k + 1) % 4
+    for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
         side = np.array([(*corners[a], 0.0), (*corners[b], 0.0), top[b], top[a]])
         outside = corners[[a, b]].mean(axis=0) * 2.0 - middle
         builder.add_polygon([side], toward=(*outside, 0.3))

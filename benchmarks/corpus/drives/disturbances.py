@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable
+import itertools
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from slam.geometry.frames import planar_transform
 from slam.io.scan_files import in_order
 from slam.map.map_planes import MapPlane
 from slam.sensors.log import Event, Log, OdometryReading
-from slam.sensors.rig import Mount, Rig
+from slam.sensors.rig import Mount, Rig, Sensor
 from slam.session.prior_map import PriorMap, floor_start
 from slam.simulation.record import Truth
 from spplanes._check import FloatArray
@@ -36,11 +37,9 @@ class Drive:
     """A recorded drive, what its user says of it, and the truth."""
 
     recipe: Recipe
-    """What it is made of."""
     level: bool
     """Whether the robot stays on one floor."""
     log: Log
-    """The sensors' data."""
     rig: Rig
     """What the user says of the robot; not always true."""
     truth: Truth
@@ -61,28 +60,28 @@ def none(given: Drive, rng: np.random.Generator) -> Drive:
     return given
 
 
+def with_sensors(given: Drive, change: Callable[[Sensor], dict[str, Any]]) -> Drive:
+    """The drive with a rig that says something else of each sensor."""
+    sensors = {name: one.model_copy(update=change(one)) for name, one in given.rig.sensors.items()}
+    return replace(given, rig=given.rig.model_copy(update={"sensors": sensors}))
+
+
 def backwards(given: Drive, rng: np.random.Generator) -> Drive:
     """The rig has every sensor the wrong way round: turned by half a turn about the body's z."""
-    half = planar_transform(0.0, 0.0, np.pi)
 
-    def turned(body_T_sensor: FloatArray) -> Mount:
-        matrix = half @ body_T_sensor
-        matrix[:3, 3] = body_T_sensor[:3, 3]
-        return Mount.of(matrix)
+    def turned(sensor: Sensor) -> dict[str, Any]:
+        matrix = planar_transform(0.0, 0.0, np.pi) @ sensor.body_T_sensor
+        matrix[:3, 3] = sensor.body_T_sensor[:3, 3]
+        return {"mount": Mount.of(matrix)}
 
-    sensors = {name: s.model_copy(update={"mount": turned(s.body_T_sensor)}) for name, s in given.rig.sensors.items()}
-    return replace(given, rig=given.rig.model_copy(update={"sensors": sensors}))
+    return with_sensors(given, turned)
 
 
 def stated(factor: float) -> Disturbance:
     """The rig states so many times the noise that the ranges have."""
 
     def state(given: Drive, rng: np.random.Generator) -> Drive:
-        sensors = {
-            name: s.model_copy(update={"range_sigma_m": factor * s.range_sigma_m})
-            for name, s in given.rig.sensors.items()
-        }
-        return replace(given, rig=given.rig.model_copy(update={"sensors": sensors}))
+        return with_sensors(given, lambda sensor: {"range_sigma_m": factor * sensor.range_sigma_m})
 
     return state
 
@@ -99,15 +98,12 @@ def every(nth: int) -> Disturbance:
 
 def thinned(log: Log, nth: int, first: int = 0) -> Log:
     """The log with every so many-th scan of each sensor, from its first or a later one on; all of the odometry."""
-    counts: Counter[str] = Counter()
-    events: list[Event] = []
-    for event in log.events:
-        if not isinstance(event, OdometryReading):
-            counts[event.sensor] += 1
-            if (counts[event.sensor] - 1 - first) % nth:
-                continue
-        events.append(event)
-    return replace(log, events=events)
+    counts: dict[str, Iterator[int]] = defaultdict(itertools.count)
+
+    def stays(event: Event) -> bool:
+        return isinstance(event, OdometryReading) or (next(counts[event.sensor]) - first) % nth == 0
+
+    return replace(log, events=list(filter(stays, log.events)))
 
 
 def backward_in_time(given: Drive, rng: np.random.Generator) -> Drive:
@@ -167,12 +163,10 @@ def _map_of(world: PolygonWorld | None, start: FloatArray, rng: np.random.Genera
     sigmas = np.array([_KNOWN_M, _KNOWN_RAD, _KNOWN_RAD])
     both = zip(world.planes, world.seen, strict=True)
     large = [(plane, seen) for plane, seen in both if plane.outline is not None and plane.outline.area >= _LARGE_M2]
-    known = [
-        MapPlane(number, _moved(plane, sigmas * rng.standard_normal(3), sigmas), seen, 3, ("plane",))
-        for number, (plane, seen) in enumerate(large)
-    ]
-    covariance = np.diag(np.tile(sigmas**2, len(known)))
-    return PriorMap(known, covariance, start, floor_start())
+    known = []
+    for number, (plane, seen) in enumerate(large):
+        known.append(MapPlane(number, _moved(plane, sigmas * rng.standard_normal(3), sigmas), seen, 3, ("plane",)))
+    return PriorMap(known, np.diag(np.tile(sigmas**2, len(known))), start, floor_start())
 
 
 def _moved(plane: Plane, error: FloatArray, sigmas: FloatArray) -> Plane:

@@ -29,16 +29,12 @@ _PARTS = {"world": WORLDS, "sensors": SENSORS, "odometry": ODOMETRIES, "disturba
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a drive is made of."""
+    """What a drive is made of: out of `WORLDS`, `SENSORS`, `ODOMETRIES` and `DISTURBANCES`."""
 
     world: str
-    """Out of `WORLDS`."""
     sensors: str
-    """Out of `SENSORS`."""
     odometry: str = "good"
-    """Out of `ODOMETRIES`."""
     disturbance: str = "none"
-    """Out of `DISTURBANCES`."""
 
     def __post_init__(self) -> None:
         for part, known in _PARTS.items():
@@ -71,24 +67,15 @@ def make_drive(
     """Draw building, noise and all else from the seed.
 
     Recipes with one world have the same building for the same seed, and the same wheels where the kind is the same:
-    what differs between them is what differs in their names.
-
-    Args:
-        recipe: what it is made of.
-        seed: which one of its kind.
-        visit: another visit of the same building has other noise of sensors and wheels.
-        part: of the course only this much is driven, from and to as shares of its length; level courses only.
-        backwards: it is driven from the end to the start.
-
-    Raises:
-        ValueError: a part that is none, or of a course that is not level.
+    what differs between them is what differs in their names. Another `visit` of the same building has other noise of
+    sensors and wheels. Of a level course only a `part` may be driven, from and to as shares of its length, or it may be
+    driven `backwards`, from the end to the start.
     """
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
     build = WORLDS[recipe.world]
     scene = build(streams[0])
     if visit:
-        children = np.random.SeedSequence([seed, visit]).spawn(4)
-        streams[1:] = [np.random.default_rng(child) for child in children]
+        streams[1:] = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, visit]).spawn(4)]
     if part != (0.0, 1.0) or backwards:
         scene = replace(scene, course=scene.course.part(*part, backwards=backwards))
     drive = _recorded(scene, SENSORS[recipe.sensors], recipe, streams[1], streams[2])
@@ -106,12 +93,11 @@ def _recorded(
     stamps = START_NS + ticks * round(tick_m / SPEED_M_PER_S * 1e9)
     poses = scene.course.poses_at(ticks.astype(np.float64) * tick_m)
     rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=ON_LEVEL_FLOOR if scene.course.level else ON_RAMPS)
-    read = ODOMETRIES[recipe.odometry]
+    read, labels = ODOMETRIES[recipe.odometry], {}
     events: list[Event] = []
     if read is not None:
         readings = read(poses, rig.odometry, wheels)
         events += [OdometryReading(int(t), pose) for t, pose in zip(stamps, readings, strict=True)]
-    labels = {}
     for sensing, rng in zip(suite, noise.spawn(len(suite)), strict=True):
         at = ticks[round(sensing.late_m / tick_m) :: round(sensing.every_m / tick_m)]
         scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
@@ -134,9 +120,8 @@ def _scans(
         ranges, labels[some] = _cast(scene, sensing, poses[some], stamps[some])
         read = sensing.read(ranges, rng)
         labels[some] = np.where(np.isnan(read), np.int32(NO_PLANE), labels[some])
-        scans += [
-            sensing.beams.scan(int(stamp), sensing.name, row) for stamp, row in zip(stamps[some], read, strict=True)
-        ]
+        at_times = zip(stamps[some].tolist(), read, strict=True)
+        scans += [sensing.beams.scan(stamp, sensing.name, row) for stamp, row in at_times]
     return scans, labels if sensing.beams.angles is not None else labels.reshape(-1, fans, n_beams)
 
 
@@ -149,6 +134,5 @@ def _cast(scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray)
     rays = np.einsum("sij,fbj->sfbi", turns, beams.directions).reshape(-1, n_beams, 3)
     normals = np.einsum("sij,fj->sfi", turns, beams.normals).reshape(-1, 3)
     origins = np.repeat(world_T_sensor[:, :3, 3], fans, axis=0)
-    times_s = np.repeat((stamps - START_NS) * 1e-9, fans)
-    ranges, labels = scene.cast(origins, rays, normals, times_s)
+    ranges, labels = scene.cast(origins, rays, normals, np.repeat((stamps - START_NS) * 1e-9, fans))
     return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)

@@ -38,19 +38,11 @@ def _add_tube(builder: PolygonBuilder, y: float, half: float, x: tuple[float, fl
     """A straight corridor between two places, its floor from one height to another."""
     mid = (sum(x) / 2.0, y, sum(z) / 2.0 + 1.2)
     for lift in (0.0, _HIGH_M):
-        ends = [(x[0], z[0] + lift), (x[1], z[1] + lift)]
-        ring = [(*_xz(ends[0], y - half),), (*_xz(ends[1], y - half),), (*_xz(ends[1], y + half),)]
-        builder.add_polygon([[*ring, (*_xz(ends[0], y + half),)]], toward=mid)
+        sides = ((0, -half), (1, -half), (1, half), (0, half))
+        builder.add_polygon([[(x[k], y + side, z[k] + lift) for k, side in sides]], toward=mid)
     for side in (-half, half):
-        low, high = (
-            [_xz(e, y + side) for e in zip(x, z, strict=True)],
-            [_xz((a, b + _HIGH_M), y + side) for a, b in zip(x, z, strict=True)],
-        )
-        builder.add_polygon([[*low, *high[::-1]]], toward=mid)
-
-
-def _xz(end: tuple[float, float], y: float) -> tuple[float, float, float]:
-    return end[0], y, end[1]
+        ends = ((0, 0.0), (1, 0.0), (1, _HIGH_M), (0, _HIGH_M))
+        builder.add_polygon([[(x[k], y + side, z[k] + lift) for k, lift in ends]], toward=mid)
 
 
 def _add_end(builder: PolygonBuilder, x: float, half: float, z: float, way: float) -> None:

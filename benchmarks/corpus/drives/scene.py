@@ -24,7 +24,6 @@ class Course:
     """The way of a robot, over floors and ramps."""
 
     path: Path
-    """Seen from above."""
     heights_m: FloatArray | None = None
     """Height of the floor at each stored point of the path, shape (K,), m; None: level at 0."""
 
@@ -39,18 +38,13 @@ class Course:
         return self.path.length_m
 
     def part(self, start: float, end: float, *, backwards: bool = False) -> Course:
-        """The course from one share of its length to another, or from there back.
-
-        Raises:
-            ValueError: shares that are not ascending within [0, 1], or a course with ramps.
-        """
+        """The course from one share of its length to another, or from there back; level ones only."""
         if not 0.0 <= start < end <= 1.0:
             raise ValueError(f"part: expected shares of the way with 0 <= start < end <= 1, got {start} and {end}")
         if self.heights_m is not None:
             raise ValueError("part: expected a level course, got one with ramps")
         path, start_m, end_m = self.path, start * self.length_m, end * self.length_m
-        inside = path.way_m[(path.way_m > start_m) & (path.way_m < end_m)]
-        way = np.concatenate([[start_m], inside, [end_m]])
+        way = np.array([start_m, *path.way_m[(path.way_m > start_m) & (path.way_m < end_m)], end_m])
         poses = path.at(way)
         if backwards:
             return Course(Path(end_m - way[::-1], poses[::-1] + np.array([0.0, 0.0, np.pi])))
@@ -79,14 +73,12 @@ def _about_y(angles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Walker:
-    """Somebody who walks up and down the robot's way, beside its middle."""
+    """Somebody who walks up and down the robot's way, to its left, from a place on it at time 0."""
 
     start_m: float
-    """Where on the way at time 0, m."""
     speed_m_per_s: float
     """Along the way, m/s; negative: toward its start."""
     beside_m: float
-    """To the left of the way, m."""
 
     def places(self, path: Path, times_s: FloatArray) -> FloatArray:
         """Positions (N, 2) at times (N,), m."""
@@ -98,14 +90,11 @@ class Walker:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A world to drive through."""
+    """A world to drive through: what stands still, the way, and people."""
 
     world: PolygonWorld
-    """What stands still."""
     course: Course
-    """The way through it."""
     walkers: tuple[Walker, ...] = ()
-    """People."""
 
     def cast(
         self, origins: FloatArray, rays: FloatArray, fan_normals: FloatArray, times_s: FloatArray

@@ -30,11 +30,9 @@ class Sensing:
     """One sensor on the robot, as it really is."""
 
     name: str
-    """Its name in rig and log."""
     sensor: Sensor
     """What it is; its sigma is the true one, unless the beams err by depth."""
     beams: Beams
-    """Its beams."""
     every_m: float
     """Way between two scans, m."""
     late_m: float = 0.0
@@ -65,8 +63,7 @@ def depth_sigma(depth_m: FloatArray) -> FloatArray:
 
 def _level() -> Sensing:
     sensor = paper_rig().sensors[HORIZONTAL]
-    beams = Beams.of_laser(np.deg2rad(np.arange(-270, 271) * 0.5))
-    return Sensing(HORIZONTAL, sensor, beams, _LINES_M)
+    return Sensing(HORIZONTAL, sensor, Beams.of_laser(np.deg2rad(np.arange(-270, 271) * 0.5)), _LINES_M)
 
 
 def _paper() -> list[Sensing]:
@@ -76,11 +73,9 @@ def _paper() -> list[Sensing]:
 
 
 def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
-    sensor = spinning_rig().sensors[SPINNING]
-    turns = np.linspace(-np.pi, np.pi, _STEPS, endpoint=False)
-    return Sensing(
-        LIDAR, sensor, Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings))), _CLOUDS_M
-    )
+    sensor, turns = spinning_rig().sensors[SPINNING], np.linspace(-np.pi, np.pi, _STEPS, endpoint=False)
+    beams = Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings)))
+    return Sensing(LIDAR, sensor, beams, _CLOUDS_M)
 
 
 def camera_beams(rows: int, columns: int, focal_pixels: float) -> Beams:

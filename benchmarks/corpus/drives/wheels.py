@@ -18,13 +18,7 @@ _ATTITUDE_RAD = 0.002
 #: Bias: share by which a wheel is larger than it should be, and drift of the heading, rad/m.
 _SCALE, _DRIFT_RAD_PER_M = 0.03, 0.02
 #: Standard deviations of `OdometryNoise` that are of its random walk.
-_WALK = (
-    "along_sigma_m_per_sqrt_m",
-    "lateral_sigma_m_per_sqrt_m",
-    "heading_sigma_rad_per_sqrt_m",
-    "heading_sigma_rad_per_sqrt_rad",
-    "slip_sigma_m_per_sqrt_rad",
-)
+_WALK = [name for name in OdometryNoise.model_fields if "_per_sqrt_" in name]
 
 Odometry = Callable[[FloatArray, OdometryNoise, np.random.Generator], FloatArray]
 
@@ -66,28 +60,20 @@ def stops(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> 
 
 
 #: Kinds of odometry; None: there is none.
-ODOMETRIES: dict[str, Odometry | None] = {
-    "good": good,
-    "worse3": worse,
-    "biased": biased,
-    "absent": None,
-    "still": still,
-    "stops": stops,
-}
+ODOMETRIES: dict[str, Odometry | None] = {"good": good, "worse3": worse, "biased": biased, "absent": None}
+ODOMETRIES |= {"still": still, "stops": stops}
 
 
 def _over_ramps(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
     """Wheels, and an attitude sensor for pitch and roll: steps in the plane of the robot err as wheels do."""
     steps = np.linalg.inv(poses[:-1]) @ poses[1:]
     planar = np.column_stack([steps[:, :2, 3], np.arctan2(steps[:, 1, 0], steps[:, 0, 0])])
-    errors = np.linalg.cholesky(noise.random_covariances(planar) + 1e-16 * np.eye(3)) @ rng.standard_normal(
-        (len(steps), 3, 1)
-    )
+    roots = np.linalg.cholesky(noise.random_covariances(planar) + 1e-16 * np.eye(3))
+    errors = roots @ rng.standard_normal((len(steps), 3, 1))
     wrong = pose_matrices(np.column_stack([np.zeros((len(steps), 2)), errors[:, 2, 0]]))[:, :3, :3]
     steps[:, :2, 3] += errors[:, :2, 0]
     steps[:, :3, :3] = wrong @ steps[:, :3, :3]
-    chained = _chained(poses[0], steps)
-    tilts = _ATTITUDE_RAD * rng.standard_normal((len(poses), 2))
+    chained, tilts = _chained(poses[0], steps), _ATTITUDE_RAD * rng.standard_normal((len(poses), 2))
     tilts[0] = 0.0
     for pose, (roll, pitch) in zip(chained, tilts, strict=True):
         pose[:3, :3] = pose[:3, :3] @ np.array([[1.0, 0.0, pitch], [0.0, 1.0, -roll], [-pitch, roll, 1.0]])

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from shapely import LineString, Polygon, box, unary_union
 
-from benchmarks.corpus.drives.building import Roof, add_furniture, add_shell, tidy
+from benchmarks.corpus.drives.building import Panes, Roof, add_furniture, add_shell, tidy
 from benchmarks.corpus.drives.ramp import ramp
 from benchmarks.corpus.drives.scene import Course, Scene, Walker
 from benchmarks.corpus.polygon_world import PolygonBuilder
 from slam.simulation.robots import Path
 from spplanes._check import FloatArray
-
-Corners = list[tuple[float, float]]
 
 #: Radius the robot takes its corners with, m.
 _TURN_M = 0.6
@@ -54,8 +53,7 @@ def sloped(rng: np.random.Generator) -> Scene:
     plan = _with_rooms(_corridor(corners, rng), corners, rng, skewed=True)
     middle, turn = np.array(plan.centroid.coords[0]), rng.uniform(0.0, 2.0 * np.pi)
     slope = np.tan(rng.uniform(0.03, 0.15)) * np.array([np.cos(turn), np.sin(turn)])
-    reach = float(np.abs((np.array(plan.exterior.coords) - middle) @ slope).max())
-    ridge = 2.6 + reach
+    ridge = 2.6 + float(np.abs((np.array(plan.exterior.coords) - middle) @ slope).max())
     planes = [(ridge - middle @ slope, *slope)]
     if rng.random() < 0.5:
         planes.append((ridge + middle @ slope, *-slope))
@@ -77,8 +75,7 @@ def hall(rng: np.random.Generator) -> Scene:
 def glass(rng: np.random.Generator) -> Scene:
     """An irregular building in which a third of the longer walls are mostly glass: beams do not come back."""
     corners = _bends(rng, skewed=True)
-    plan = tidy(_with_rooms(_corridor(corners, rng), corners, rng, skewed=True))
-    panes = {}
+    plan, panes = tidy(_with_rooms(_corridor(corners, rng), corners, rng, skewed=True)), {}
     for r, ring in enumerate((plan.exterior, *plan.interiors)):
         for e, (a, b) in enumerate(pairwise(np.array(ring.coords))):
             if np.linalg.norm(b - a) > 1.5 and rng.random() < 0.35:
@@ -88,8 +85,7 @@ def glass(rng: np.random.Generator) -> Scene:
 
 def bare(rng: np.random.Generator) -> Scene:
     """A straight corridor of 160 m without a door; nothing along it tells where one is."""
-    half = rng.uniform(0.9, 1.4)
-    builder = PolygonBuilder()
+    half, builder = rng.uniform(0.9, 1.4), PolygonBuilder()
     add_shell(builder, box(-80.0, -half, 80.0, half), Roof.flat(rng.uniform(2.4, 3.0)))
     return Scene(builder.build(), Course(Path.weaving(20.0)))
 
@@ -98,22 +94,14 @@ def symmetric(rng: np.random.Generator) -> Scene:
     """A square ring of corridors whose sides, doors and rooms are all alike, a lap and a third."""
     side, half, deep = rng.uniform(8.0, 10.0), rng.uniform(1.0, 1.3), rng.uniform(2.5, 3.5)
     far = side / 2.0
-    ring = box(-far - half, -far - half, far + half, far + half).difference(
-        box(half - far, half - far, far - half, far - half)
-    )
-    quarter = [
-        piece
-        for at in (-0.25 * side, 0.25 * side)
-        for piece in (
-            box(at - _DOOR_M / 2, -far - half - _FRAME_M - 0.1, at + _DOOR_M / 2, -far - half + 0.1),
-            box(at - 1.5, -far - half - _FRAME_M - deep, at + 1.5, -far - half - _FRAME_M),
-        )
-    ]
+    block = box(half - far, half - far, far - half, far - half)
+    ring, quarter = box(-far - half, -far - half, far + half, far + half).difference(block), []
+    for at in (-0.25 * side, 0.25 * side):
+        quarter.append(box(at - _DOOR_M / 2, -far - half - _FRAME_M - 0.1, at + _DOOR_M / 2, -far - half + 0.1))
+        quarter.append(box(at - 1.5, -far - half - _FRAME_M - deep, at + 1.5, -far - half - _FRAME_M))
     turned = [Polygon(np.array(p.exterior.coords) @ _turn(k)) for k in range(4) for p in quarter]
-    corners = np.array(
-        [(-0.3 * far, -far), (far, -far), (far, far), (-far, far), (-far, -far), (far, -far), (far, 0.0)]
-    )
-    plan = unary_union([ring, *turned])
+    signs = [(-0.3, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 0.0)]
+    corners, plan = far * np.array(signs), unary_union([ring, *turned])
     assert isinstance(plan, Polygon)
     return _furnished(plan, corners, Roof.flat(2.6), rng, pieces=0, oblique=False)
 
@@ -129,17 +117,8 @@ def people(rng: np.random.Generator) -> Scene:
 
 #: Kinds of world.
 WORLDS: dict[str, Callable[[np.random.Generator], Scene]] = {
-    "irregular": irregular,
-    "office": office,
-    "loop": loop,
-    "sloped": sloped,
-    "cluttered": cluttered,
-    "hall": hall,
-    "glass": glass,
-    "bare": bare,
-    "symmetric": symmetric,
-    "ramp": ramp,
-    "people": people,
+    build.__name__: build
+    for build in (irregular, office, loop, sloped, cluttered, hall, glass, bare, symmetric, ramp, people)
 }
 
 
@@ -194,12 +173,8 @@ def _room(
     lean = rng.uniform(0.0, 0.4, 2) if skewed else np.zeros(2)
     if not skewed:
         lefts[1], rights[1] = lefts[0], rights[0]
-    local = [
-        (-lefts[0], near + lean[0]),
-        (rights[0], near),
-        (rights[1], near + deep + lean[1]),
-        (-lefts[1], near + deep),
-    ]
+    local = [(-lefts[0], near + lean[0]), (rights[0], near)]
+    local += [(rights[1], near + deep + lean[1]), (-lefts[1], near + deep)]
     half = _DOOR_M / 2.0
     door = [(-half, 0.0), (half, 0.0), (half, near + 0.4), (-half, near + 0.4)]
     room, doorway = (Polygon([place + s * along + n * out for s, n in ring]) for ring in (local, door))
@@ -209,26 +184,22 @@ def _room(
 def _hall(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Corners of a hall of six unequal sides, and of a way round in it."""
     angles = (np.arange(6) + rng.uniform(-0.25, 0.25, 6)) * np.pi / 3.0
-    circle = np.column_stack([np.cos(angles), np.sin(angles)])
-    ring = rng.uniform(8.0, 11.0, 6)[:, None] * circle
+    ring = rng.uniform(8.0, 11.0, 6)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     way = 0.5 * ring
     return ring, np.vstack([0.5 * (way[0] + way[1]), way[1:], way[0], 0.2 * way[0] + 0.8 * way[1]])
 
 
 def _furnished(
     plan: Polygon,
-    corners: Sequence | FloatArray,
+    corners: FloatArray,
     roof: Roof,
     rng: np.random.Generator,
     *,
-    pieces: int,
-    oblique: bool,
-    poles: int = 0,
-    glass: dict[tuple[int, int], tuple[float, float]] | None = None,
+    glass: Panes | None = None,
+    **pieces: Any,
 ) -> Scene:
     """The building with furniture, and the way through it."""
-    builder = PolygonBuilder()
+    builder, points = PolygonBuilder(), [(float(x), float(y)) for x, y in corners]
     add_shell(builder, plan, roof, glass=glass)
-    points = [(float(x), float(y)) for x, y in corners]
-    add_furniture(builder, plan, LineString(points), rng, pieces=pieces, oblique=oblique, poles=poles)
+    add_furniture(builder, plan, LineString(points), rng, **pieces)
     return Scene(builder.build(), Course(Path.rounded(points, _TURN_M)))

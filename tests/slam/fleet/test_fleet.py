@@ -71,8 +71,7 @@ def test_a_mission_is_mapped_once_whatever_its_name(logs: list[Path], tmp_path: 
     done = map_log(order_of(logs[0], tmp_path))
     assert done.folder is not None and done.mission is not None
     record = Path(done.folder) / RECORD_FILE
-    before = record.stat().st_mtime_ns
-    again = map_log(order_of(logs[0], tmp_path, name="another"))
+    before, again = record.stat().st_mtime_ns, map_log(order_of(logs[0], tmp_path, name="another"))
     assert (again.folder, record.stat().st_mtime_ns) == (done.folder, before)
     assert open_mapped(done.folder, "another").mission.name == "another"
     other = SlamConfig().model_copy(update={"backend": SlamConfig().backend.model_copy(update={"robust": "huber"})})

@@ -125,11 +125,9 @@ def test_half_a_turn_that_neither_scans_nor_wheels_saw_is_found_at_the_first_sca
 
 def test_what_fits_elsewhere_as_well_leaves_the_wheels_in_doubt_too():
     """Two like bays of a long wall: which one it is stays open, in all that is said."""
-    surface = scan_in((1.0, 1.0, 0.0))
-    odometry = LaserOdometry(NOISE, CoastingConfig())
+    surface, odometry = scan_in((1.0, 1.0, 0.0)), LaserOdometry(NOISE, CoastingConfig())
     odometry.add(0, surface, None)
-    sure = odometry.add(100_000_000, surface, np.zeros(3))
-    spread = np.diag((0.25, 0.0, 0.0))
+    sure, spread = odometry.add(100_000_000, surface, np.zeros(3)), np.diag((0.25, 0.0, 0.0))
     with pytest.MonkeyPatch.context() as patch:
         torn = Match(sure.pose, 1e4 * np.eye(3), 0.9, 0.5, spread, 0)
         patch.setattr(tracker, "match_scan", lambda *given: torn)
@@ -195,8 +193,7 @@ def corridor(rng: np.random.Generator) -> Surface:
 
 def test_walls_tell_nothing_along_them_however_much_their_normals_err():
     """Five centimetres were claimed of it: a drive of 58 keyframes along a bare corridor was 14 m off, and sound."""
-    rng = np.random.default_rng(2)
-    known = np.diag((0.05, 0.05, 0.02)) ** 2
+    rng, known = np.random.default_rng(2), np.diag((0.05, 0.05, 0.02)) ** 2
     for _ in range(20):
         there = LocalMap.of([corridor(rng) for _ in range(8)], [np.array((0.25 * k, 0.0, 0.0)) for k in range(8)])
         match = match_scan(corridor(rng), there, [Expected(np.array((2.0, 0.02, 0.005)), known, 1.0)], 0.9)

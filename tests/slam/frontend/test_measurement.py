@@ -38,17 +38,12 @@ def patch(rng: np.random.Generator, count: int = 900, *, x: float = 2.0, y: floa
     return np.column_stack((places, SIGMA * rng.standard_normal(count)))
 
 
-def unit(vector: tuple[float, float, float]) -> np.ndarray:
-    return np.array(vector) / np.linalg.norm(vector)
-
-
 def isotropic(points: np.ndarray) -> np.ndarray:
     return np.tile(SIGMA**2 * np.eye(3), (len(points), 1, 1))
 
 
 def test_a_fit_with_errors_shared_by_patches_is_consistent_and_without_them_is_not():
-    rng = np.random.default_rng(0)
-    rough = sensor(surface_sigma_m=0.02, surface_correlation_m=0.4)
+    rng, rough = np.random.default_rng(0), sensor(surface_sigma_m=0.02, surface_correlation_m=0.4)
     told, untold, found = [], [], []
     for _ in range(400):
         points = patch(rng)
@@ -150,8 +145,7 @@ def test_lines_of_a_tilting_scanner_share_the_servos_error_block_by_block():
     tilting = sensor(tilt_sigma_rad=0.01, tilt_correlation_lines=10)
     rng, truth = np.random.default_rng(8), Plane.from_hesse([0.0, 0.0, 1.0], -0.5, np.zeros((3, 3)))
     x, y = np.meshgrid(np.linspace(0.8, 3.0, 40), np.linspace(-1.0, 1.0, 21), indexing="ij")
-    floor = np.stack((x, y, np.full_like(x, -0.5)), axis=2)
-    line = np.repeat(np.arange(40), 21)
+    floor, line = np.stack((x, y, np.full_like(x, -0.5)), axis=2), np.repeat(np.arange(40), 21)
     nees = []
     for _ in range(400):
         turn = np.repeat(0.01 * rng.standard_normal(4), 10)[:, None, None] * np.array([0.0, 1.0, 0.0])
@@ -275,7 +269,8 @@ def test_what_runs_round_a_blunt_corner_is_the_walls_on_either_side(corner_deg: 
     """A strip of a wall and twice as much of the next, 5 mm off the plane through both, in noise of 15 mm."""
     rng, eye, grid = np.random.default_rng(15), np.array([0.0, 0.0, 9.0]), (30, 30)
     turn, slope = gtsam.Rot3.Yaw(np.radians(heading_deg)).matrix(), np.tan(np.radians(corner_deg))
-    walls = [Plane.from_hesse(turn @ one, 0.0, np.zeros((3, 3))) for one in (unit((-slope, 0.0, 1.0)), (0.0, 0.0, 1.0))]
+    leaning = np.array((-slope, 0.0, 1.0)) / np.hypot(slope, 1.0)
+    walls = [Plane.from_hesse(turn @ one, 0.0, np.zeros((3, 3))) for one in (leaning, (0.0, 0.0, 1.0))]
     whole, nees = [], []
     for _ in range(60):
         places = rng.uniform((-0.35, -1.2), (0.7, 1.2), (900, 2))

@@ -75,8 +75,7 @@ def test_spatial_covariance_turns_into_the_axes_of_the_second_pose():
 
 
 def test_poses_between_readings_are_the_same_whatever_else_is_asked_for():
-    track = track_of(arc())
-    wanted = np.random.default_rng(1).integers(-PERIOD_NS, 14 * PERIOD_NS, 50)
+    track, wanted = track_of(arc()), np.random.default_rng(1).integers(-PERIOD_NS, 14 * PERIOD_NS, 50)
     together = track.poses_at(wanted.tolist())
     alone = np.concatenate([track.poses_at([stamp]) for stamp in wanted.tolist()])
     np.testing.assert_allclose(together, alone, atol=1e-12)

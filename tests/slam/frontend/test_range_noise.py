@@ -96,8 +96,7 @@ def test_a_drive_whose_rig_states_a_third_of_the_noise_is_mapped_as_if_it_had_st
 
 
 def test_ranges_of_a_2d_laser_tell_theirs() -> None:
-    rng = np.random.default_rng(8)
-    angles = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    rng, angles = np.random.default_rng(8), np.linspace(-np.pi / 2, np.pi / 2, 181)
     walls = np.minimum(4.0 / np.maximum(np.cos(angles), 1e-9), 3.0 / np.maximum(np.abs(np.sin(angles)), 1e-9))
     rig, found = Rig(sensors={"front": Sensor(kind="line", range_sigma_m=0.005, range_max_m=30.0)}), []
     for _ in range(10):

@@ -4,7 +4,8 @@ import numpy as np
 
 from slam.frontend._surface_kernels import jumps
 from slam.frontend.scan_surfaces import COLUMNS, ON_EDGE, ON_PLANE, WIDTH, surfaces_of
-from tests.slam.depth_scenes import HIGH, LOW, SENSOR, in_world, looking, measured
+from slam.geometry.frames import lift
+from tests.slam.depth_scenes import HIGH, LOW, SENSOR, looking, measured
 from tests.spplanes.scenes import spun
 
 #: Floor, top and one side of the box: nothing holds the camera along the side.
@@ -16,7 +17,7 @@ def elements_seen(kind: float, pose: np.ndarray, seed: int) -> tuple[np.ndarray,
     elements = measured(pose, np.random.default_rng(seed)).surfaces
     assert elements is not None
     some = elements[elements[:, 7] == kind]
-    return in_world(some[:, :3], pose), some[:, 3:6] @ pose[:3, :3].T
+    return lift(some[:, :3], pose), some[:, 3:6] @ pose[:3, :3].T
 
 
 def test_elements_on_planes_lie_on_floor_top_and_side() -> None:

@@ -15,8 +15,7 @@ PERIOD_S, STEP_SIGMA = 0.2, 0.01
 
 def nis_per_dof(stamps_err_s: float, taken_s: float, seed: int, n_steps: int = 2000) -> float:
     """Mean NIS per degree of freedom of predicted steps of a body whose velocity is the process that is assumed."""
-    rng = np.random.default_rng(seed)
-    kept = USUAL**2 / (USUAL**2 + (CHANGE * PERIOD_S) ** 2)
+    rng, kept = np.random.default_rng(seed), USUAL**2 / (USUAL**2 + (CHANGE * PERIOD_S) ** 2)
     velocity = USUAL * rng.standard_normal(3)
     times = np.sort(PERIOD_S * np.arange(n_steps + 1) + stamps_err_s * rng.standard_normal(n_steps + 1))
     tracked, noise, total = VelocityFilter(RULES, taken_s), STEP_SIGMA**2 * np.eye(3), 0.0
@@ -103,8 +102,7 @@ def test_a_step_that_the_clock_gives_no_time_says_nothing_of_the_velocity():
 
 
 def test_noise_of_a_clock_is_found_in_its_stamps():
-    rng = np.random.default_rng(3)
-    steady = 0.2 * np.arange(2000)
+    rng, steady = np.random.default_rng(3), 0.2 * np.arange(2000)
 
     def found(seconds: np.ndarray) -> float:
         return stamp_sigma((1e9 * seconds).astype(np.int64).tolist())

@@ -76,8 +76,7 @@ def test_covariances_are_those_of_one_batch_of_all_factors():
     """Of planes in the common frame and of the second mission's last pose, to 1e-4 of themselves."""
     component = solved(0)
     graph, values = batch(component)
-    marginals = gtsam.Marginals(graph, values)
-    found = []
+    marginals, found = gtsam.Marginals(graph, values), []
     for one, (place, _) in zip(component.planes, component.classes, strict=True):
         keys = component.solution.keys(place)
         other = world_plane(values, marginals, keys.plane, anchor_key=keys.anchor, shape_of=one.plane)
@@ -91,16 +90,14 @@ def test_covariances_are_those_of_one_batch_of_all_factors():
 
 def test_a_condensed_mission_is_the_marginal_of_the_whole():
     """The information on what is kept, and back-substitution gives the step of the whole, to 1e-9 of themselves."""
-    graph = first(0).graph
-    shaken = gtsam.VectorValues()
+    graph, shaken = first(0).graph, gtsam.VectorValues()
     for key in graph.values.keys():  # noqa: SIM118 - not a mapping
         shaken.insert(key, np.full(6 if chr(key >> 56) == "x" else 3, 1e-3))
     values = graph.values.retract(shaken)
     keep = sorted({key for pair in graph.planes.values() for key in pair})
     whole = graph.factors.linearize(values)
     condensed, every = condense(whole, keep), whole.optimize()
-    marginals = gtsam.Marginals(whole, every)
-    root = condensed.shared.root
+    marginals, root = gtsam.Marginals(whole, every), condensed.shared.root
     expected = marginals.jointMarginalInformation(list(condensed.shared.keys)).fullMatrix()
     np.testing.assert_allclose(root.T @ root, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
     shared = gtsam.VectorValues()

@@ -37,17 +37,15 @@ def plane_of(one: FinishedMission, landmark: int) -> MapPlane:
     return next(known for known in one.mission.planes if known.id == landmark)
 
 
-def truth_of(plane: Plane) -> Plane:
-    return max(room_planes(), key=lambda one: one.normal @ plane.normal)
-
-
 def test_joined_planes_poses_and_frames_are_honest():
     """NEES of planes, of the second mission's frame and of its last pose, 3 dof each."""
     planes, frames, poses = [], [], []
     for seed in range(RUNS):
         component = joined(seed).components[0]
         assert component.names == ("first", "second") and sorted(len(places) for places in component.classes) == [2] * 6
-        planes.append(np.mean([one.plane.mahalanobis(truth_of(one.plane)) for one in component.planes]))
+        found = [one.plane for one in component.planes]
+        true = [max(room_planes(), key=lambda one, mine=mine: one.normal @ mine.normal) for mine in found]
+        planes.append(np.mean([mine.mahalanobis(one) for mine, one in zip(found, true, strict=True)]))
         spread = component.solution.posterior(1)._marginal([base_key(1)]).covariance([base_key(1)])
         frames.append(planar_nees(spread, room_T_second(seed), component.common_T_mission["second"]))
         last = component.trajectories["second"].poses[-1]

@@ -50,7 +50,8 @@ def test_along_a_bare_corridor_the_motion_goes_with_its_walls(batch: bool):
     frames = corridor()
     slam, untouched = run_of(frames[:-1]), run_of(frames[:-1])
     assert len(slam.landmarks) == 4
-    pairs = [(older, younger) for older in (0, 1) for younger in (2, 3) if same_side(slam, older, younger)]
+    sides = [slam.landmarks.placed(landmark).normal for landmark in range(4)]
+    pairs = [(older, younger) for older in (0, 1) for younger in (2, 3) if sides[older] @ sides[younger] > 0.0]
     close(slam, 6, pairs, Motion(np.eye(4), np.diag((1e-4, 1e-4, 1e-6)), OUT_OF_PLANE))
     away = slam.trajectory.poses[-1] - untouched.trajectory.poses[-1]
     assert abs(away[0, 3]) > 10.0  # of two places that look the same the graph cannot tell
@@ -67,10 +68,6 @@ def test_along_a_bare_corridor_the_motion_goes_with_its_walls(batch: bool):
         slam.merges.undo(slam.merges.history[1])
         np.testing.assert_allclose(outline_areas(slam), outline_areas(untouched), rtol=0.05)
         assert slam.backend.graph.size() == untouched.backend.graph.size()
-
-
-def same_side(slam: PlaneSlam, one: int, other: int) -> bool:
-    return float(slam.landmarks.placed(one).normal @ slam.landmarks.placed(other).normal) > 0.0
 
 
 def test_a_motion_that_does_not_fit_is_taken_back_and_one_that_does_stays():
@@ -103,8 +100,7 @@ def test_a_place_beyond_doubt_is_tied_without_the_walls_that_the_graph_refuses()
 
 
 def test_what_the_graph_refuses_and_no_return_proposes_is_not_closed():
-    slam = run_of(drive(3).keyframes[:12])
-    loop = LoopDecision(11, 2, "closed", ((0, 1),))
+    slam, loop = run_of(drive(3).keyframes[:12]), LoopDecision(11, 2, "closed", ((0, 1),))
     slam._closer.decisions.append(loop)
     assert slam._closer._close([loop], 1.0) is None and slam.loops[-1].verdict == "refused"
     assert not slam.merges.may_be_one(0, 1)

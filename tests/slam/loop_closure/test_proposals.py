@@ -56,22 +56,20 @@ def closed(proposals: list[Proposal], held: range = range(42)) -> list[tuple[int
     return sorted((one.keyframe, one.old_keyframe) for one in group)
 
 
-def test_one_proposal_waits_for_another_that_agrees():
-    first, second = proposal(30, 11, 5.0), proposal(34, 7, 5.0)
-    assert closed([first]) == [] and closed([first, second]) == [(30, 11), (34, 7)]
-
-
-def test_what_was_hardly_moved_on_is_no_second_witness():
-    assert closed([proposal(30, 11, 5.0), proposal(31, 10, 5.0)]) == []
-
-
-def test_a_proposal_beyond_all_doubt_waits_for_none():
-    assert closed([proposal(30, 11, 13.0)]) == [] and closed([proposal(30, 11, 14.0)]) == [(30, 11)]
-
-
-@pytest.mark.parametrize("wrong", [(1.0, 0.0, 0.0), (0.0, 0.0, 0.3)])
-def test_proposals_that_contradict_each_other_close_nothing(wrong: tuple[float, float, float]):
-    assert closed([proposal(30, 11, 6.0), proposal(34, 7, 6.0, wrong)]) == []
+@pytest.mark.parametrize(
+    ("proposals", "ends"),
+    [
+        pytest.param([proposal(30, 11, 5.0)], [], id="one waits for another"),
+        pytest.param([proposal(30, 11, 5.0), proposal(34, 7, 5.0)], [(30, 11), (34, 7)], id="that agrees"),
+        pytest.param([proposal(30, 11, 5.0), proposal(31, 10, 5.0)], [], id="hardly moved on"),
+        pytest.param([proposal(30, 11, 13.0)], [], id="hardly beyond all doubt"),
+        pytest.param([proposal(30, 11, 14.0)], [(30, 11)], id="beyond all doubt"),
+        pytest.param([proposal(30, 11, 6.0), proposal(34, 7, 6.0, (1.0, 0.0, 0.0))], [], id="elsewhere"),
+        pytest.param([proposal(30, 11, 6.0), proposal(34, 7, 6.0, (0.0, 0.0, 0.3))], [], id="turned"),
+    ],
+)
+def test_which_proposals_are_closed(proposals: list[Proposal], ends: list[tuple[int, int]]):
+    assert closed(proposals) == ends
 
 
 def test_of_many_proposals_those_that_agree_are_closed():
@@ -104,8 +102,7 @@ def seen_again(there: float, shift: tuple[float, float, float]) -> float | None:
     """Evidence of the map for 5 m in a room, and later 5 m in that room or another one at x = `there`, tied to it."""
     walls = np.array(room(0.0, 4.0, 1.5) + room(30.0, 6.0, 3.4))
     first = [np.array((1.0 + 0.5 * k, 1.3, 0.3)) for k in range(11)]
-    later = [np.array((there + 1.0 + 0.5 * k, 2.4, 0.1)) for k in range(11)]
-    frames = []
+    later, frames = [np.array((there + 1.0 + 0.5 * k, 2.4, 0.1)) for k in range(11)], []
     for pose in [*first, *later]:
         ranges = cast(walls, np.zeros((len(walls), 256)), pose, ANGLES)
         ends = ranges[:, None] * np.stack((np.cos(ANGLES), np.sin(ANGLES)), axis=1)

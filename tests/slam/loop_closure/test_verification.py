@@ -53,8 +53,7 @@ def square_tour(kick: float, side: float = 15.0) -> tuple[list[Keyframe], np.nda
     """Once round the square and a bit more; on 10 m of it nothing is seen and the heading errs by `kick` (rad) more."""
     rng = np.random.default_rng(1)
     leg, along = np.divmod(np.arange(0.0, 4.0 * side + 8.0, 0.5), side)
-    corners = np.array(((0, 0), (side, 0), (side, side), (0, side), (0, 0)))
-    heading = leg * np.pi / 2
+    corners, heading = np.array(((0, 0), (side, 0), (side, side), (0, side), (0, 0))), leg * np.pi / 2
     xy = corners[leg.astype(int) % 4] + along[:, None] * np.stack((np.cos(heading), np.sin(heading)), axis=1)
     poses = np.array([planar_transform(x, y, t) for (x, y), t in zip(xy, heading, strict=True)])
     walls, noise, frames = hall(), OdometryNoise(), []
@@ -118,8 +117,7 @@ def test_the_wheels_errors_are_learnt_and_honestly(errors):
 
 def test_nothing_seen_teaches_nothing():
     motion, calibration = driven(np.array((1.0, 0.0, 0.1))), WheelCalibration()
-    predicted = calibration.predict(motion)
-    before = calibration.covariance.copy()
+    predicted, before = calibration.predict(motion), calibration.covariance.copy()
     calibration.learn(predicted, predicted.a_T_b, predicted.covariance)
     assert np.allclose(calibration.mean, 0.0)
     np.testing.assert_allclose(calibration.covariance, before, atol=1e-12)
@@ -131,8 +129,7 @@ def test_the_covariance_of_a_motion_agrees_with_sampled_poses():
     rng = np.random.default_rng(4)
     root = 1e-3 * rng.normal(size=(12, 12))
     a, b = gtsam.Pose3(planar_transform(1.0, 2.0, 0.7)), gtsam.Pose3(planar_transform(1.5, 2.9, 1.3))
-    a_T_b = a.between(b).matrix()
-    sampled = []
+    a_T_b, sampled = a.between(b).matrix(), []
     for _ in range(20000):
         tangent = root @ rng.standard_normal(12)
         sampled.append(planar_delta(a.retract(tangent[:6]).between(b.retract(tangent[6:])).matrix()))

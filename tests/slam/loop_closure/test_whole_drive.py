@@ -75,8 +75,7 @@ def circles(seed: int, false: int) -> tuple[FloatArray, list[Motion], list[Propo
     rng, angles = np.random.default_rng(seed), np.linspace(0.0, 4.0 * np.pi, 120)
     true = np.array([planar_transform(8.0 * np.cos(a), 8.0 * np.sin(a), a + 0.5 * np.pi) for a in angles])
     noisy = [planar_delta(inverse(a) @ b) + np.sqrt(np.diag(STEP)) * rng.standard_normal(3) for a, b in pairwise(true)]
-    steps = [Motion(planar_transform(*delta), STEP, (1e-3, 1e-3, 1e-3)) for delta in noisy]
-    found = []
+    steps, found = [Motion(planar_transform(*delta), STEP, (1e-3, 1e-3, 1e-3)) for delta in noisy], []
     for number, new in enumerate(range(62, 120, 6)):
         delta = planar_delta(inverse(true[new - 60]) @ true[new]) + np.sqrt(np.diag(FOUND)) * rng.standard_normal(3)
         delta[0] += 0.8 * (number in range(2, 2 + 3 * false, 3))

@@ -128,8 +128,7 @@ def test_two_motions_in_one_are_what_the_noise_model_says_of_both():
         Motion(planar_transform(*step), spatial_covariance(one, planar_transform(*step), out), out)
         for step, one in zip(steps, plain, strict=True)
     )
-    turned = chained(a, b).covariance[np.ix_([0, 1, 3], [0, 1, 3])]
-    turn = np.eye(3)
+    turned, turn = chained(a, b).covariance[np.ix_([0, 1, 3], [0, 1, 3])], np.eye(3)
     turn[:2, :2] = both.a_T_b[:2, :2]
     np.testing.assert_allclose(turn @ turned @ turn.T, own, atol=3e-8)
 
@@ -138,8 +137,7 @@ def test_what_was_seen_is_needed_until_all_directions_have_been_seen_again():
     step = Motion(planar_transform(0.5, 0.0, 0.0), np.diag((1e-4, 1e-4, 1e-4)), (1e-3, 1e-3, 1e-3))
     known = np.diag((1e-5, 1e-5, 1e-5))
     planes = [PlaneObservation(Plane(one.frame, known, 100, one.outline)) for one in room_planes()]
-    sides = [one for one in planes if abs(one.plane.normal[0]) < 0.5]
-    footing = PoseSupport()
+    sides, footing = [one for one in planes if abs(one.plane.normal[0]) < 0.5], PoseSupport()
     footing.step(0, None, [])
     for keyframe in range(1, 6):
         footing.step(keyframe, step, planes)

@@ -82,8 +82,7 @@ def test_bounds_lose_nothing():
 
 
 def test_a_maximum_at_the_edge_of_the_box_is_looked_for_beyond_it():
-    rng = np.random.default_rng(6)
-    poses = [np.array((2.0, 2.0, 0.3)), np.array((3.0, 2.2, 2.0))]
+    rng, poses = np.random.default_rng(6), [np.array((2.0, 2.0, 0.3)), np.array((3.0, 2.2, 2.0))]
     here, there = (submap(room(), poses, poses[0], rng) for _ in range(2))
     box = np.array((0.5, 0.5, 0.1))
     found = search_place(here, there, np.array((0.6, 0.2, 0.0)), np.diag((box / 2.0) ** 2), box, looks=LOOKS)
@@ -102,8 +101,7 @@ def test_along_a_bare_corridor_the_mode_is_as_long_as_the_box():
 @pytest.mark.parametrize("shift", [0.0, 1.7])
 def test_doors_at_equal_distances_leave_several_places(shift: float):
     """A row of doors 2.4 m apart, seen again: 2.4 m on it looks the same, so none of them is beyond doubt."""
-    rng = np.random.default_rng(8)
-    walls = corridor([-12.0 + 2.4 * k for k in range(10)])
+    rng, walls = np.random.default_rng(8), corridor([-12.0 + 2.4 * k for k in range(10)])
     here, there = (submap(walls, ALONG, np.zeros(3), rng) for _ in range(2))
     box = np.array((4.0, 0.6, 0.1))
     found = search_place(here, there, np.array((shift, 0.0, 0.0)), np.diag((4.0, 0.1, 0.01)), box, looks=LOOKS)

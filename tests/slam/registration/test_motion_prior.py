@@ -113,8 +113,7 @@ def test_estimates_drawn_to_what_is_learnt_do_not_make_it_ever_smaller(sigma: fl
         for _ in range(60):
             expected = prior.prior(coasting(1e-6 * np.eye(6)), CHANGE)
             used = expected.learnt()
-            wide = np.diag(used.covariance)
-            truth = 0.1 * np.sqrt(CHANGE) * rng.standard_normal(6)
+            wide, truth = np.diag(used.covariance), 0.1 * np.sqrt(CHANGE) * rng.standard_normal(6)
             known = 1.0 / (1.0 / wide + 1.0 / sigma**2)
             prior.learn(expected, known * (truth + sigma * rng.standard_normal(6)) / sigma**2, used, np.diag(known))
         found.append(prior.prior(coasting(), CHANGE).usual.shares)

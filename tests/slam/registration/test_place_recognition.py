@@ -24,24 +24,21 @@ def random_place(rng, n=16, size=8.0):
 
 def see(place, pose, rng, kept=1.0, sigma=0.005):
     """Walls of a place in the frame of `pose`, each with noise of its own covariance; and which walls they are."""
-    seen = np.flatnonzero(rng.random(len(place)) < kept)
-    walls = []
+    seen, walls = np.flatnonzero(rng.random(len(place)) < kept), []
     for segment in place[seen]:
         ends = (segment - pose[:2]) @ planar_transform(0, 0, pose[2])[:2, :2]
         along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
         length, middle = np.hypot(*(ends[1] - ends[0])), ends.mean(axis=0) @ along
         jacobian = np.array(((1.0, 0.0), (middle, 1.0)))
         covariance = jacobian @ np.diag((12 * sigma**2 / length**2, sigma**2)) @ jacobian.T
-        error = rng.multivariate_normal((0.0, 0.0), covariance)
-        alpha = np.arctan2(-along[0], along[1])
+        error, alpha = rng.multivariate_normal((0.0, 0.0), covariance), np.arctan2(-along[0], along[1])
         rho = ends[0] @ (np.cos(alpha), np.sin(alpha))
         walls.append(Wall(alpha + error[0], rho + error[1], covariance, ends))
     return walls, seen
 
 
 def error_of(match, pose_a, pose_b):
-    b_T_a = np.linalg.inv(planar_transform(*pose_b)) @ planar_transform(*pose_a)
-    found = match.b_T_a
+    b_T_a, found = np.linalg.inv(planar_transform(*pose_b)) @ planar_transform(*pose_a), match.b_T_a
     turn = np.arctan2(found[1, 0], found[0, 0]) - np.arctan2(b_T_a[1, 0], b_T_a[0, 0])
     return np.array((*(found[:2, 3] - b_T_a[:2, 3]), (turn + np.pi) % (2 * np.pi) - np.pi))
 

@@ -49,8 +49,7 @@ def test_directions_found_weigh_every_normal_once():
 @pytest.mark.parametrize("seed", range(5))
 def test_best_shifts_are_the_best_of_all_threes(seed):
     rng = np.random.default_rng(seed)
-    weights = np.sort(rng.uniform(0.2, 3.0, 12))[::-1].copy()
-    own = np.sort(rng.integers(0, 12, 40))
+    weights, own = np.sort(rng.uniform(0.2, 3.0, 12))[::-1].copy(), np.sort(rng.integers(0, 12, 40))
     normals, offsets = directions(rng, 40), rng.normal(0.0, 0.3, 40)
     strongest, middles, reaches = rng.permutation(40)[:14], rng.normal(0.0, 0.5, (40, 3)), rng.uniform(0.0, 2.0, 40)
     shifts, found, scores = [], [], []

@@ -23,8 +23,7 @@ LONG, WIDE, HIGH = 9.0, 5.0, 4.0
 def wall(middle: tuple[float, float, float], normal: tuple[float, float, float], width: float, height: float) -> Plane:
     """A rectangle about its middle, seen from the side of its normal, known to 2 mm and 0.05 deg."""
     z = np.array(normal) / np.linalg.norm(normal)
-    x = np.cross((0.0, 0.0, 1.0) if abs(z[2]) < 0.9 else (0.0, 1.0, 0.0), z)
-    frame = np.eye(4)
+    x, frame = np.cross((0.0, 0.0, 1.0) if abs(z[2]) < 0.9 else (0.0, 1.0, 0.0), z), np.eye(4)
     frame[:3, 0], frame[:3, 1], frame[:3, 2], frame[:3, 3] = x, np.cross(z, x), z, middle
     outline = box(-width / 2.0, -height / 2.0, width / 2.0, height / 2.0)
     return Plane(frame, np.diag([2e-3, 1e-3, 1e-3]) ** 2, 1000, outline)
@@ -128,8 +127,7 @@ def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a
         wall((middle, -WIDE, half), (0.0, 1.0, 0.0), LONG + 4.0, HIGH),
         wall((-LONG, 0.0, half), (1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
     ]
-    seen = measured(in_sight, true, rng)
-    expected = body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
+    seen, expected = measured(in_sight, true, rng), body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
     known = [plane.transform(inverse(expected)) for plane in [*hall(), screen]]
     found = register_planes_globally(seen, known, (2.0, 1.4))
     assert found is not None

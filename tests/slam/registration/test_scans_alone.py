@@ -19,8 +19,7 @@ from tests.slam.real_data import needs
 
 @pytest.fixture(scope="module")
 def hall() -> Run:
-    log, rig = load(needs("balm_hall/000.pcd").parent)
-    return run_slam(log, rig, SlamConfig())
+    return run_slam(*load(needs("balm_hall/000.pcd").parent), SlamConfig())
 
 
 def test_a_hall_without_odometry_is_where_lidar_odometry_has_it(hall: Run):

@@ -16,12 +16,13 @@ from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
 from slam.registration.surface_registration import Correspondences, Expected, LocalMap, Residuals, Tried, align
 from slam.registration.visibility import Scan
 from slam.simulation import simulate_mission
-from tests.slam.depth_scenes import between, looking, measured, with_widths
+from tests.slam.depth_scenes import looking, measured, with_widths
 from tests.spplanes.scenes import spun
 
 FIRST = looking(-1.5, 0.0, 1.2, 0.0, 0.6)
 #: 10 cm to the side, along the one direction that floor, top and side leave open, and turned by 3 deg.
 SECOND = looking(-1.5, 0.1, 1.22, 0.05, 0.62)
+FIRST_T_SECOND = inverse(FIRST) @ SECOND
 
 
 def scan(elements: np.ndarray, viewpoint: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Scan:
@@ -37,7 +38,7 @@ def test_edges_hold_the_direction_that_the_planes_leave_open() -> None:
     known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
     assert known is not None and seen is not None
     found = align(scan(seen), LocalMap([(np.eye(4), scan(known))]), [np.eye(4)])
-    assert np.linalg.norm(off(found.known_T_seen, between(FIRST, SECOND))[3:]) < 0.01
+    assert np.linalg.norm(off(found.known_T_seen, FIRST_T_SECOND)[3:]) < 0.01
     planes = [one[one[:, 7] == ON_PLANE] for one in (known, seen)]
     bare = align(scan(planes[1]), LocalMap([(np.eye(4), scan(planes[0]))]), [np.eye(4)])
     along = SECOND[:3, :3].T @ np.array([0.0, 1.0, 0.0])
@@ -52,12 +53,12 @@ def test_a_wrong_place_scores_less_than_the_right_one() -> None:
     known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
     assert known is not None and seen is not None
     there = LocalMap([(np.eye(4), scan(known))])
-    right = align(scan(seen), there, [between(FIRST, SECOND)])
+    right = align(scan(seen), there, [FIRST_T_SECOND])
     for aside in (1.25, 1.5):  # from nearer a descent finds back
-        wrong = between(FIRST, SECOND)
+        wrong = FIRST_T_SECOND.copy()
         wrong[:3, 3] += FIRST[:3, :3].T @ np.array([0.0, aside, 0.0])
         found = align(scan(seen), there, [wrong])
-        assert np.linalg.norm(off(found.known_T_seen, between(FIRST, SECOND))[3:]) > 0.2
+        assert np.linalg.norm(off(found.known_T_seen, FIRST_T_SECOND)[3:]) > 0.2
         assert right.score > found.score + 0.05
 
 
@@ -268,8 +269,7 @@ def test_beams_that_move_with_the_sensor_do_not_say_that_nothing_moved() -> None
 
 
 def test_a_surface_goes_on_between_the_beams_but_not_across_an_edge() -> None:
-    sight = pillared(0.0)
-    wall = np.array([[1.0, 5.0, -0.15, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
+    sight, wall = pillared(0.0), np.array([[1.0, 5.0, -0.15, 0.0, -1.0, 0.0, 0.003, ON_PLANE]])
     before, away, edge = wall.copy(), wall.copy(), wall.copy()
     before[:, 1] -= 0.2
     away[:, 3:6] = 0.0, 1.0, 0.0

@@ -79,8 +79,7 @@ def test_a_graph_moved_as_a_whole_takes_the_map_along(run: Path, tmp_path: Path)
 
 
 def test_what_is_off_its_optimum_is_solved(run: Path, tmp_path: Path):
-    given = StoredRun.read(run)
-    noisy = moved_file(run, tmp_path / "noisy.g2o", noise=0.003)
+    given, noisy = StoredRun.read(run), moved_file(run, tmp_path / "noisy.g2o", noise=0.003)
     far, back = import_graph(noisy, run, solve=False), import_graph(noisy, run)
     shifts = [np.abs(one.trajectory.poses - given.trajectory.poses)[:, :3, 3].max() for one in (far, back)]
     assert shifts[0] > 4e-3 and shifts[1] < 1e-3
@@ -90,8 +89,7 @@ def test_what_is_off_its_optimum_is_solved(run: Path, tmp_path: Path):
 
 
 def test_the_command_leaves_a_folder_that_goes_on(run: Path, tmp_path: Path):
-    edited = tmp_path / "edited.g2o"
-    lost = str(next(iter(read_g2o(run / "graph.g2o").planes)))
+    edited, lost = tmp_path / "edited.g2o", str(next(iter(read_g2o(run / "graph.g2o").planes)))
     lines = (run / "graph.g2o").read_text().splitlines()
     gone = [words for words in map(str.split, lines) if words[0].startswith(("VERTEX_PLANE", "EDGE_SE3_PLANE"))]
     kept = [line for line in lines if not (line.split() in gone and lost in line.split()[1:3])]
@@ -136,8 +134,7 @@ def test_what_cannot_be_taken_back(run: Path, tmp_path: Path):
     other.write_text("VERTEX_SE3:QUAT 999 0 0 0 0 0 0 1\nFIX 999\n")
     with pytest.raises(LogError, match=r"other.g2o: expected poses with the vertex ids of .*graph.g2o, found none"):
         import_graph(other, run)
-    loose = tmp_path / "loose.g2o"
-    lines = (run / "graph.g2o").read_text().splitlines()
+    loose, lines = tmp_path / "loose.g2o", (run / "graph.g2o").read_text().splitlines()
     loose.write_text("\n".join(line for line in lines if "PRIOR" not in line and "EDGE_SE3:" not in line) + "\n")
     with pytest.raises(LogError, match=r"loose.g2o: expected a graph that holds every pose and plane"):
         import_graph(loose, run)

@@ -13,8 +13,7 @@ from tests.slam.real_data import needs
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    log, rig = load(needs("3dtk_corridor"))
-    return run_slam(log, rig, SlamConfig())
+    return run_slam(*load(needs("3dtk_corridor")), SlamConfig())
 
 
 def largest(run: Run, normal: list[float], near_d: tuple[float, float]) -> MapPlane:

@@ -19,11 +19,6 @@ from tests.slam.real_data import needs
 FIRST, LAST = 18, 100
 
 
-def mapped(name: str, *, repair: bool = True) -> Run:
-    log, rig = load(needs(name))
-    return run_slam(log, rig, SlamConfig(), repair=repair)
-
-
 def assert_honest(slam: PlaneSlam, least: int) -> None:
     """The audit of at least so many measurements finds their covariances right; not too small."""
     (row,) = slam.audit.summary()
@@ -34,7 +29,7 @@ def assert_honest(slam: PlaneSlam, least: int) -> None:
 @pytest.fixture(scope="module")
 def loop5() -> Run:
     """The office corridor loop."""
-    return mapped("loop5/loop5.clf.gz")
+    return run_slam(*load(needs("loop5/loop5.clf.gz")), SlamConfig())
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +82,7 @@ def test_a_camera_carried_by_hand_is_where_motion_capture_has_it():
     """Where little stands on a floor, most of an image fits wherever the camera may have gone: images 11 and 17."""
     log, rig = load(needs("tum_fr3_cabinet"))
     run = run_slam(replace(log, events=list(log.events)[:19]), rig, SlamConfig())
-    truth = read_tum(needs("tum_fr3_cabinet/truth/groundtruth.txt"))
-    stamps = run.trajectory.stamps_ns
+    truth, stamps = read_tum(needs("tum_fr3_cabinet/truth/groundtruth.txt")), run.trajectory.stamps_ns
     error = absolute_error(run.trajectory, Trajectory(stamps, truth.poses_at(stamps.tolist()) @ inverse(CAMERA_MOUNT)))
     assert len(stamps) == 19
     assert error.translation_m.max() < 0.1  # 0.3 m and 13 deg off where the floor counts by its area

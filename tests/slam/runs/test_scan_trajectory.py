@@ -38,8 +38,7 @@ def test_odometry_that_agrees_with_both_keyframes_is_carried_as_it_is():
     """Any start in the world, odometry in a frame of its own, poses beyond either end by odometry alone."""
     times = np.linspace(0.0, 10.0, 101)
     world_T_odom = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 1.0), [4.0, 5.0, 6.0]).matrix()
-    stamps = np.round(times * SECOND).astype(np.int64)
-    truth = world_T_odom @ arc(times)
+    stamps, truth = np.round(times * SECOND).astype(np.int64), world_T_odom @ arc(times)
     keyframes = Trajectory(stamps[[20, 50, 80]], truth[[20, 50, 80]])
     found = carried(keyframes, stamps, track_of(times, arc(times)))
     np.testing.assert_array_equal(found.stamps_ns, stamps)
@@ -87,8 +86,7 @@ def test_between_exact_keyframes_the_error_is_that_of_a_bridge():
     times, length, draws = np.linspace(0.0, 10.0, 41), 2.0, 400
     stamps = np.round(times * SECOND).astype(np.int64)
     truth = np.array([planar_transform(x, 0.0, 0.0) for x in np.linspace(0.0, length, len(times))])
-    ends = Trajectory(stamps[[0, -1]], truth[[0, -1]])
-    errors = np.empty((draws, 2))
+    ends, errors = Trajectory(stamps[[0, -1]], truth[[0, -1]]), np.empty((draws, 2))
     for draw in range(draws):
         walked = truth.copy()
         walked[:, :2, 3] += np.cumsum(0.03 * np.sqrt(length / 40) * random.standard_normal((len(times), 2)), axis=0)

@@ -81,8 +81,7 @@ def slow_ranges(world, origin, rays):
 
 
 def test_a_corridor_scan_agrees_with_linear_algebra():
-    world = corridor(20.0)
-    rays = beam_directions(np.deg2rad(np.arange(-180, 180, 7.3)))
+    world, rays = corridor(20.0), beam_directions(np.deg2rad(np.arange(-180, 180, 7.3)))
     origin = np.array([4.3, 0.1, 1.5])  # in front of the open chamber, above the closets, clear of the bars
     ranges, _ = world.cast(origin[None], rays[None], np.array([[0.0, 0.0, 1.0]]))
     np.testing.assert_allclose(ranges[0], slow_ranges(world, origin, rays), atol=1e-9)

@@ -58,8 +58,7 @@ def test_what_steps_share_is_in_the_covariances_exactly() -> None:
     """The graph with the errors as a variable of its own, solved as one: the same marginals."""
     made = calibrated(chain(np.random.default_rng(2), np.array((0.03, -0.05)), until=31))
     unknown, backend = gtsam.symbol("c", 0), made.backend
-    whole = gtsam.GaussianFactorGraph()
-    graph = backend.graph.linearize(backend.values)
+    whole, graph = gtsam.GaussianFactorGraph(), backend.graph.linearize(backend.values)
     for index in range(graph.size()):
         factor = graph.at(index)
         keys = list(factor.keys())
@@ -76,8 +75,7 @@ def test_what_steps_share_is_in_the_covariances_exactly() -> None:
         whole.push_back(factor)
     prior = np.diag(1.0 / np.sqrt(np.diag(unknown_at_first(made.steps[0].motion))))
     whole.push_back(gtsam.JacobianFactor(unknown, prior, np.zeros(2), gtsam.noiseModel.Unit.Create(2)))
-    keys = [pose_symbol(k) for k in (12, 30, 59)]
-    order = gtsam.Ordering()
+    keys, order = [pose_symbol(k) for k in (12, 30, 59)], gtsam.Ordering()
     for key in keys:
         order.push_back(key)
     exact = np.linalg.inv(whole.marginal(keys).hessian(order)[0])

@@ -20,8 +20,7 @@ AHEAD = planar_transform(0.25, 0.0, 0.0)
 
 def record_of(wrong: int, fine: int, expected: np.ndarray = AHEAD) -> OdometryRecord:
     """So many steps that were spoken against, 25 cm off, and so many that were not though they would have been."""
-    record = OdometryRecord(0.001)
-    guess = replace(GUESS, a_T_b=expected)
+    record, guess = OdometryRecord(0.001), replace(GUESS, a_T_b=expected)
     for k in range(wrong):
         record.take(k + 1, STILL, guess, GUESS, Check(True, SHARP))
         record.settle(AHEAD)
