@@ -8,10 +8,9 @@ import numpy as np
 from shapely import box
 
 from factors.association.observations import Observation, PlaneObservation
-from slam.frontend.keyframes import Keyframe
+from slam import Keyframe, PlaneSlam
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
-from slam.planeslam import PlaneSlam
 from slam.sensors.log import CloudScan, Event, LaserScan, OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import Location, Plane

@@ -8,9 +8,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam import PlaneSlam
+from slam import Keyframe, PlaneSlam
 from slam.backend.marginalized_poses import PastPose, PastPoses
-from slam.frontend.keyframes import Keyframe
 from slam.lazy import Rows
 from slam.sensors.log import CloudScan, LaserScan, OdometryReading, StoredCloud, StoredReading, StoredScan
 from slam.session.replay import StoredKeyframe

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from factors import PlaneObservation, plane_landmark
-from slam import PlaneSlam, SlamConfig
-from slam.frontend.keyframes import Keyframe
+from slam import Keyframe, PlaneSlam, SlamConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.loop_closure.closing import LoopCloser

@@ -169,19 +169,15 @@ def test_rough_fronts_are_found_where_the_rig_knows_of_them():
     assert seen[1] > 2000 > seen[0]
 
 
-def room_without_order() -> np.ndarray:
-    """A room of 8 x 6 x 2.7 m seen by a spinning lidar of 32 rings, points shuffled, shape (N, 3)."""
+@pytest.mark.parametrize("stated", [{}, {"rows": 32, "columns": 720}], ids=["found", "stated"])
+def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
+    """A room of 8 x 6 x 2.7 m seen by a spinning lidar of 32 rings, points shuffled."""
     rng = np.random.default_rng(0)
     rays = spun(np.linspace(0.5, -0.5, 32), 2.0 * np.pi * np.arange(720) / 720).reshape(-1, 3)
     ranges = to_walls(rays, [-3.0, -2.5, -1.2], [5.0, 3.5, 1.5])
     points = rays * (ranges + 0.005 * rng.standard_normal(len(ranges)))[:, None]
     points[rng.choice(len(points), 300, replace=False)] = np.nan
-    return rng.permutation(points)
-
-
-@pytest.mark.parametrize("stated", [{}, {"rows": 32, "columns": 720}], ids=["found", "stated"])
-def test_a_scan_without_order_is_arranged(stated: dict[str, int]):
-    cloud = CloudScan(0, "lidar", room_without_order())
+    cloud = CloudScan(0, "lidar", rng.permutation(points))
     seen = planes_of_cloud(cloud, sensor(range_sigma_m=0.005, **stated), SlamConfig())
     walls = [(1, 0, 0, -3.0), (-1, 0, 0, -5.0), (0, 1, 0, -2.5), (0, -1, 0, -3.5), (0, 0, 1, -1.2), (0, 0, -1, -1.5)]
     for *normal, d in walls:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from factors.association.observations import PlaneObservation
-from slam import PlaneSlam
-from slam.frontend.keyframes import Keyframe
+from slam import Keyframe, PlaneSlam
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.closing import Closure

@@ -13,8 +13,7 @@ from factors.association.decisions import AssociationGates, Candidate, Decision,
 from factors.association.gating import Hypothesis, State, chi2_and_log_det
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import PlaneObservation
-from slam import PlaneSlam
-from slam.frontend.keyframes import Keyframe
+from slam import Keyframe, PlaneSlam
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
 from slam.map.landmarks import LandmarkMap

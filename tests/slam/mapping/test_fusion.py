@@ -107,10 +107,8 @@ def test_a_true_closure_stands():
     for merge in slam.merges.history:
         merge.next_look = 0
     assert slam.merges.doubted({one.id for one in slam.landmarks}, 1.0) == []
-    assert (
-        np.linalg.norm((inverse(scene.world_T_body[-1]) @ slam.trajectory.poses[-1])[:3, 3]) < 0.02
-        and np.isfinite(slam.marginal_covariance(pose_symbol(14))).all()
-    )
+    assert np.linalg.norm((inverse(scene.world_T_body[-1]) @ slam.trajectory.poses[-1])[:3, 3]) < 0.02
+    assert np.isfinite(slam.marginal_covariance(pose_symbol(14))).all()
 
 
 def test_every_decision_can_be_explained_with_its_numbers():

@@ -6,8 +6,7 @@ import numpy as np
 from shapely import Polygon, box
 
 from factors.association.observations import PlaneObservation
-from slam import PlaneSlam, SlamConfig
-from slam.frontend.keyframes import Keyframe
+from slam import Keyframe, PlaneSlam, SlamConfig
 from spplanes import Plane
 from tests.slam.scenes import drive, run_of
 
@@ -15,25 +14,15 @@ from tests.slam.scenes import drive, run_of
 UNCERTAIN = np.diag([0.01, 0.2, 0.2]) ** 2
 
 
-def uncertain(seen: PlaneObservation, shift_m: float = 0.0, outline: Polygon | None = None) -> PlaneObservation:
-    """The same plane known less well, moved along its normal, with an outline of another size."""
-    frame = seen.plane.frame.copy()
-    frame[:3, 3] += shift_m * seen.plane.normal
-    return PlaneObservation(Plane(frame, UNCERTAIN, seen.plane.n_points, outline or seen.plane.outline))
-
-
-def run(first: PlaneObservation | None, config: SlamConfig | None = None) -> PlaneSlam:
-    """A drive whose first keyframe sees its last plane only as `first`, or not at all."""
+def run(shift_m: float = 0.0, outline: Polygon | None = None, config: SlamConfig | None = None) -> PlaneSlam:
+    """A drive whose first keyframe knows its last plane badly, moved along its normal, with an outline of its own."""
     frames: list[Keyframe] = drive(0, count=4).keyframes
-    seen = [one for one in frames[0].observations[:-1] if isinstance(one, PlaneObservation)]
-    frames[0] = replace(frames[0], observations=[*seen, *([] if first is None else [first])])
+    *seen, last = frames[0].observations
+    frame = last.plane.frame.copy()
+    frame[:3, 3] += shift_m * last.plane.normal
+    uncertain = Plane(frame, UNCERTAIN, last.plane.n_points, outline or last.plane.outline)
+    frames[0] = replace(frames[0], observations=[*seen, PlaneObservation(uncertain)])
     return run_of(frames, PlaneSlam(config))
-
-
-def last_of_first() -> PlaneObservation:
-    seen = drive(0, count=4).keyframes[0].observations[-1]
-    assert isinstance(seen, PlaneObservation)
-    return seen
 
 
 def sightings(slam: PlaneSlam) -> list[int]:
@@ -42,7 +31,7 @@ def sightings(slam: PlaneSlam) -> list[int]:
 
 
 def test_a_plane_too_uncertain_to_start_a_landmark_is_matched_once_it_is_there():
-    slam = run(uncertain(last_of_first()))
+    slam = run()
     assert len(slam.landmarks) == 6 and sightings(slam) == [1, 0, 2, 3]
     [late] = slam.late_matches
     assert (late.at, late.keyframe, late.decision.observation) == (1, 0, 5)
@@ -52,11 +41,10 @@ def test_a_plane_too_uncertain_to_start_a_landmark_is_matched_once_it_is_there()
 
 
 def test_what_lies_elsewhere_or_is_the_edge_of_something_is_not():
-    assert sightings(run(uncertain(last_of_first(), shift_m=0.3))) == [1, 2, 3]
-    assert sightings(run(uncertain(last_of_first(), outline=box(0.0, 0.0, 0.3, 0.3)))) == [1, 2, 3]
+    assert sightings(run(shift_m=0.3)) == sightings(run(outline=box(0.0, 0.0, 0.3, 0.3))) == [1, 2, 3]
 
 
 def test_nothing_waits_longer_than_it_is_told_to():
     rules = SlamConfig()
     never = rules.model_copy(update={"landmarks": rules.landmarks.model_copy(update={"waiting_keyframes": 0})})
-    assert sightings(run(uncertain(last_of_first()), never)) == [1, 2, 3]
+    assert sightings(run(config=never)) == [1, 2, 3]

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from factors.association.observations import LineObservation, PlaneObservation
-from slam import PlaneSlam
+from slam import Keyframe, PlaneSlam
 from slam.config import ObservabilityConfig
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.mapping.observability import name_of, open_directions, plane_information
@@ -48,10 +47,6 @@ def test_information_is_that_of_the_measurement_by_central_differences():
         np.testing.assert_allclose(plane_information(sight(seen, covariance)), expected, rtol=1e-5, atol=1e-5)
 
 
-def test_a_room_leaves_nothing_open():
-    assert open_directions(1, [sight(plane) for plane in room_planes()], np.eye(4), RULES) == []
-
-
 def test_floor_ceiling_and_two_walls_leave_the_way_between_them_open():
     turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.zeros(3)).matrix()
     (found,) = open_directions(4, [sight(plane.transform(inverse(turned))) for plane in CORRIDOR], turned, RULES)
@@ -68,10 +63,34 @@ def test_noisy_looks_at_one_wall_fix_nothing_along_it():
     assert (found.part, found.name, found.sigma_seen) == ("position", "along x", np.inf)
 
 
-def test_one_floor_leaves_what_a_floor_must():
-    found = open_directions(1, [sight(room_planes()[0])], np.eye(4), RULES)
-    assert sorted(one.name for one in found if one.part == "position") == ["along x", "along y"]
-    assert [one.name for one in found if one.part == "orientation"] == ["about z"]
+WALL = sight(room_planes()[4])
+LEVEL_LINES = ((0.0, 3.0), (np.pi / 2.0, 2.0), (np.pi, 4.0), (-np.pi / 2.0, 2.0))
+LEVEL = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-4]), (0.001, 0.001, 0.001))
+ROUGH, SPATIAL = replace(LEVEL, out_of_plane_sigmas=(0.5, 0.001, 0.2)), Motion(np.eye(4), np.eye(6), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("seen", "motion", "names"),
+    [
+        pytest.param([sight(plane) for plane in room_planes()], None, [], id="a room"),
+        pytest.param([sight(room_planes()[0])], None, ["about z", "along x", "along y"], id="a floor"),
+        pytest.param(
+            [LineObservation(make_line(*line, np.diag([1e-5, 1e-5])), np.eye(4)) for line in LEVEL_LINES],
+            None,
+            ["about x", "about y", "along z"],
+            id="lines of a level laser",
+        ),
+        pytest.param([WALL], LEVEL, ["along x"], id="a wall, on a floor"),
+        pytest.param([WALL], replace(LEVEL, out_of_plane_sigmas=(0.0,) * 3), ["along x"], id="exactly"),
+        pytest.param([WALL], ROUGH, ["about y", "along x", "along z"], id="on a rough floor"),
+        pytest.param([WALL], SPATIAL, ["about y", "along x", "along z"], id="in space"),
+        pytest.param([WALL], None, ["about y", "along x", "along z"], id="a wall"),
+    ],
+)
+def test_what_is_seen_leaves_open_what_it_must(seen: list, motion: Motion | None, names: list[str]):
+    found = open_directions(1, seen, np.eye(4), RULES, motion)
+    assert sorted(one.name for one in found) == names
+    assert all((one.part == "position") == one.name.startswith("along") for one in found)
 
 
 def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
@@ -79,24 +98,6 @@ def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
     (found,) = open_directions(1, seen, np.eye(4), RULES)
     assert found.sigma_seen == pytest.approx(0.5, rel=1e-3)
     assert open_directions(1, seen, np.eye(4), ObservabilityConfig(max_sigma_m=0.6)) == []
-
-
-def test_lines_of_a_level_laser_say_nothing_of_the_height():
-    walls = [(0.0, 3.0), (np.pi / 2.0, 2.0), (np.pi, 4.0), (-np.pi / 2.0, 2.0)]
-    seen = [LineObservation(make_line(*wall, np.diag([1e-5, 1e-5])), np.eye(4)) for wall in walls]
-    assert {one.name for one in open_directions(1, seen, np.eye(4), RULES)} == {"along z", "about x", "about y"}
-
-
-def test_the_floor_holds_height_roll_and_pitch_of_what_drives_on_it():
-    """One wall along x seen by a body on a floor: only the way along it is open, unless the floor is a rough guess."""
-    seen = sight(room_planes()[4])
-    level = Motion(np.eye(4), np.diag([1e-4, 1e-4, 1e-4]), (0.001, 0.001, 0.001))
-    rough = replace(level, out_of_plane_sigmas=(0.5, 0.001, 0.2))
-    spatial = Motion(np.eye(4), np.eye(6), (0.0, 0.0, 0.0))
-    along = [(motion, ["along x"]) for motion in (level, replace(level, out_of_plane_sigmas=(0.0, 0.0, 0.0)))]
-    more = [(motion, ["about y", "along x", "along z"]) for motion in (rough, spatial, None)]
-    for motion, names in along + more:
-        assert sorted(one.name for one in open_directions(1, [seen], np.eye(4), RULES, motion)) == names
 
 
 def corridor_run(*, with_odometry: bool, count: int = 8) -> PlaneSlam:

@@ -6,10 +6,9 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from factors.association.observations import PlaneObservation
-from slam import PlaneSlam, SlamConfig
+from slam import Keyframe, PlaneSlam, SlamConfig
 from slam.config import CoastingConfig
 from slam.frontend.input_checks import blind
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from tests.slam.scenes import drive
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from factors.association.observations import LineObservation
+from slam import Keyframe, PlaneSlam
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance
 from slam.frontend.information import inverted
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
-from slam.planeslam import PlaneSlam
 from spplanes import ScanLine
 from spplanes._check import FloatArray
 

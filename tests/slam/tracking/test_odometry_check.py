@@ -7,13 +7,11 @@ import pytest
 
 from benchmarks.corpus.drives import Drive, Recipe, make_drive
 from factors.association.observations import PlaneObservation
-from slam.config import SlamConfig
+from slam import Keyframe, PlaneSlam, SlamConfig
 from slam.frontend import odometry as odometry_readings
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.frontend.scan_surfaces import ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
-from slam.planeslam import PlaneSlam
 from slam.registration import relocalization
 from slam.runs.slam_run import Run, run_slam
 from slam.sensors.log import CloudScan, OdometryReading

@@ -7,6 +7,7 @@ import pytest
 from shapely import box
 
 from factors.association.observations import PlaneObservation
+from slam import Keyframe, PlaneSlam
 from slam.diagnostics.evidence.coverage import (
     ambiguity_evidence,
     assumption_evidence,
@@ -15,12 +16,10 @@ from slam.diagnostics.evidence.coverage import (
 )
 from slam.diagnostics.evidence.surfaces import Surfaces, agreement, doubled_pairs, stopped_rays
 from slam.diagnostics.verdict import Evidence
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.verification import LoopDecision
-from slam.planeslam import PlaneSlam
 from slam.registration.relocalization import Rivals
 from slam.registration.submaps import PlanarPose
 from slam.sensors.rig import Mount, Sensor

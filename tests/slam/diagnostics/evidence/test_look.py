@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from slam import PlaneSlam
-from slam.config import SlamConfig
+from slam import PlaneSlam, SlamConfig
 from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.evidence.surfaces import free_space_evidence
 from slam.diagnostics.views import scan_views_of

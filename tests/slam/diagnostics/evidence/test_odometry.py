@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.corpus.drives import Recipe, make_drive
-from slam.config import SlamConfig
+from slam import Keyframe, SlamConfig
 from slam.diagnostics.evidence.innovations import _Residual, _test, claimed_sigmas
 from slam.diagnostics.evidence.mounts import heading_evidence
-from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.runs.slam_run import run_slam
 from slam.sensors.rig import Mount, Rig, Sensor
