@@ -45,12 +45,9 @@ class Wheels:
 class Drive:
     """A simulated log with its truth."""
 
-    log: Log
-    """Odometry and scans of sensor FLASER, ten centimetres apart."""
-    poses: FloatArray
-    """True world_T_body at every scan, shape (N, 4, 4), the first at the origin of the log."""
-    walls: FloatArray
-    """Ends of the walls in the same world, shape (W, 2, 2), free space on the left of the way from first to second."""
+    log: Log  # odometry and scans of sensor FLASER, ten centimetres apart
+    poses: FloatArray  # true world_T_body at every scan, shape (N, 4, 4), the first at the origin of the log
+    walls: FloatArray  # their ends in the same world, shape (W, 2, 2), free space on the left from first to second
 
     def poses_at(self, stamps_ns: np.ndarray) -> FloatArray:
         """True poses relative to the first one, at times of scans, shape (N, 4, 4)."""
@@ -61,10 +58,8 @@ class Drive:
 class FloorPlan:
     """Walls, and a way between them."""
 
-    walls: list[tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=list)
-    """Ends of each wall, m."""
-    way: list[tuple[float, float]] = field(default_factory=list)
-    """Corners of the way, m."""
+    walls: list[tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=list)  # ends of each, m
+    way: list[tuple[float, float]] = field(default_factory=list)  # corners of it, m
 
     def add_chain(self, corners: list[tuple[float, float]]) -> None:
         """A wall around corners, free space on its left."""
