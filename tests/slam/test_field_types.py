@@ -1,5 +1,7 @@
 """What stands in a field is of the type that its class states: nothing is turned into it."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
