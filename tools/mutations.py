@@ -465,7 +465,7 @@ MUTATIONS = (
         "slam/registration/surface_registration.py",
         "if self.prior is not None:",
         "if False:",
-        "tests/slam/registration/test_scans_alone.py -k drove_on",
+        "tests/slam/registration/test_motion_prior.py -k told_apart",
     ),
     Mutation(
         "odometry against 3D scans: scores of elements, however wide they are",

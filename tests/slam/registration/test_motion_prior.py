@@ -7,7 +7,9 @@ from scipy.integrate import quad
 
 from slam.frontend.odometry import Motion
 from slam.frontend.steadiness import Usual
+from slam.geometry.frames import planar_transform
 from slam.registration.motion_prior import MotionPrior, VelocityPrior
+from slam.registration.surface_registration import WEAK_PRIOR, Expected
 
 #: Of the change of any body's velocity.
 CHANGE = np.repeat([0.5, 0.35], 3) ** 2
@@ -118,3 +120,11 @@ def test_estimates_drawn_to_what_is_learnt_do_not_make_it_ever_smaller(sigma: fl
             prior.learn(expected, known * (truth + sigma * rng.standard_normal(6)) / sigma**2, used, np.diag(known))
         found.append(prior.prior(coasting(), CHANGE).usual.shares)
     assert np.exp(np.log(found).mean()) == pytest.approx(0.1, rel=0.4)
+
+
+def test_places_are_told_apart_by_how_steadily_this_body_moved() -> None:
+    """Half a metre on is beyond a body that kept its velocity to a centimetre; any other may as well be there."""
+    steady = learnt_from(0.01 * np.random.default_rng(3).standard_normal((40, 6)))
+    there = planar_transform(0.5, 0.0, 0.0)
+    by_this, by_any = (Expected(np.eye(4), WEAK_PRIOR, prior).log_likelihood(there) for prior in (steady, None))
+    assert by_this < -2.0 and -0.1 < by_any <= 0.0
