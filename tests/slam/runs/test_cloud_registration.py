@@ -53,12 +53,16 @@ def test_two_scans_of_a_hall_lie_as_sure_as_they_say(seed: int, tmp_path: Path):
 
 @pytest.mark.parametrize("guess", [None, "2.1,0.4,0,31", "8,7,0,200"])
 def test_a_real_room_is_where_icp_has_it(guess: str | None):
-    """Not surveyed: ICP has 40.85 deg and (1.964, 0.059, 0.010) m; 0.05 deg are a third of the claimed sigma."""
+    """Not surveyed: ICP has 40.85 deg and (1.964, 0.059, 0.010) m; 0.05 deg are a third of the claimed sigma.
+
+    Heights of a floor and a ceiling that a depth camera bends differ by 3 cm from ICP's, and 2.3 cm is their sigma.
+    """
     clouds = [needs(f"pcl_room/room_scan{k}.pcd") for k in (1, 2)]
     found = register_clouds(*clouds, guess=None if guess is None else read_guess(guess))
     x, y, z = found.a_T_b[:3, 3]
     yaw = np.rad2deg(np.arctan2(found.a_T_b[1, 0], found.a_T_b[0, 0]))
-    assert (x, y, z) == pytest.approx((1.964, 0.059, 0.010), abs=0.03) and yaw == pytest.approx(40.85, abs=0.05)
+    assert (x, y) == pytest.approx((1.964, 0.059), abs=0.02) and yaw == pytest.approx(40.85, abs=0.05)
+    assert abs(z - 0.010) < 1.5 * np.sqrt(found.covariance[2, 2]) < 0.04
     assert found.open == ()
     assert found.verdict.verdict == "sound", found.verdict.reasons
 
