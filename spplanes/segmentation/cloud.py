@@ -238,9 +238,14 @@ class _Job:
             planes = hesse(moments_of(*found, labels[None], self.config))
             labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
-        planes = hesse(moments_of(*found, labels[None], self.config))
-        variances = self._fitting_variances(law, curve.points[None], planes, labels[None], eyes[None])
-        cloud = curve.points[None], variances[..., None]
+        planes = np.empty((0, 4))
+        if self.sigma is None or not placed:
+            planes = hesse(moments_of(*found, labels[None], self.config))
+        if self.sigma is None:
+            spread = _fitting_variances(law, curve.points[None], planes, labels[None], eyes[None])
+        else:
+            spread = np.full((1, len(labels)), self.sigma**2)
+        cloud = curve.points[None], spread[..., None]
         n_planes = int(labels.max(initial=-1)) + 1
         sides, by_eye = _mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
@@ -252,7 +257,7 @@ class _Job:
             curve.points, curve.neighbourhoods(), labels, fitted.frames, cells_of(fitted.extents, self.config)
         )
         drawn = fitted.with_outlines(or_rectangles(outlines, fitted.extents))
-        return self._result(labels[curve.number], drawn, origin, fitted, variances[0], by_eye)
+        return self._result(labels[curve.number], drawn, origin, fitted, spread[0], by_eye)
 
     def of_grid(self) -> CloudPlanes:
         """Planes of a grid."""
@@ -268,8 +273,9 @@ class _Job:
             counted[here] = curve.number_of_first()[curve.number] == np.arange(len(curve.number))
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
-        planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
-        spread = self._fitting_variances(law, grid, planes, labels, np.zeros(3))
+        if self.sigma is None:
+            planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
+            spread = _fitting_variances(law, grid, planes, labels, np.zeros(3))
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
         fitted = fit_labelled(grid, spread[..., None], once, eyes, self.config, views=views, stated=stated)
@@ -290,31 +296,6 @@ class _Job:
         law = shown or NoiseLaw(np.zeros(1), np.zeros(1))
         law = law._replace(variances=np.maximum(law.variances, least**2))
         return law, law.at(curve.smoothed(ranges))
-
-    def _fitting_variances(
-        self, law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
-    ) -> FloatArray:
-        """For covariances, shape (S, B), m^2: of points by how far their planes are along their beams, 1 of no return.
-
-        By where a point was measured, alone or with its neighbours, those measured too short would weigh more.
-
-        Args:
-            law: how noise goes with the range.
-            points, labels: shape (S, B, 3), m, NaN = no return, and (S, B), -1 = none.
-            planes: (normal, d) of the labels, shape (R, 4).
-            eyes: where they were seen from, shape (S, B, 3) or (3,), m.
-        """
-        here = np.isfinite(points[..., 0])
-        if self.sigma is not None:
-            return np.where(here, self.sigma**2, 1.0)
-        away = points - eyes
-        ranges = np.linalg.norm(away, axis=-1)
-        if len(planes):
-            normals, d = planes[labels, :3], planes[labels, 3]
-            along, to_plane = (normals * away).sum(axis=-1), d - (normals * eyes).sum(axis=-1)
-            share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
-            ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)
-        return np.where(here, law.at(ranges), 1.0)
 
     def _result(
         self,
@@ -391,6 +372,30 @@ class _Job:
         if coverage.share < _LOW_COVERAGE:
             found.append(f"{100.0 * coverage.share:.0f} % of the points are on planes: the rest is on none, or too few")
         return found
+
+
+def _fitting_variances(
+    law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
+) -> FloatArray:
+    """For covariances, shape (S, B), m^2: of points by how far their planes are along their beams, 1 of no return.
+
+    By where a point was measured, alone or with its neighbours, those measured too short would weigh more.
+
+    Args:
+        law: how noise goes with the range.
+        points, labels: shape (S, B, 3), m, NaN = no return, and (S, B), -1 = none.
+        planes: (normal, d) of the labels, shape (R, 4).
+        eyes: where they were seen from, shape (S, B, 3) or (3,), m.
+    """
+    here = np.isfinite(points[..., 0])
+    away = points - eyes
+    ranges = np.linalg.norm(away, axis=-1)
+    if len(planes):
+        normals, d = planes[labels, :3], planes[labels, 3]
+        along, to_plane = (normals * away).sum(axis=-1), d - (normals * eyes).sum(axis=-1)
+        share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
+        ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)
+    return np.where(here, law.at(ranges), 1.0)
 
 
 def _errs_by_less(grid: FloatArray, sigmas: FloatArray) -> bool:
