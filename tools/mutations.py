@@ -589,7 +589,7 @@ MUTATIONS = (
     Mutation(
         "odometry: planes that turn while wheels stand say nothing",
         "slam/tracking/odometry_check.py",
-        "    return Check(True, believed, displacement(np.eye(4), place), fitted)\n",
+        "    return Check(True, by_planes, displacement(np.eye(4), place), fitted)\n",
         "    return None\n",
         "tests/slam/tracking/test_standing_wheels.py -k hang",
     ),

@@ -60,6 +60,8 @@ _AS_GOOD = 2.0
 _MOST = 0.5
 #: Of the sum of the weights: less than nothing, where nothing looks in a direction.
 _ROUNDING = 1e-9
+#: What a fit leaves out, whatever covariance it has, SP order.
+_LEFT_OUT = stated(np.zeros((6, 6)))
 #: Share of the steps after one that was spoken against that slip again: wheels do so for a while.
 _AGAIN = 0.5
 
@@ -128,12 +130,11 @@ def check(
     if is_poorly_known(motion) or scan is None:
         return Check(False), None
     before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
-    if not doubted:
-        by_planes = planes_confirm(motion, before, seen, scan.elements, significance)
+    if (fit := laid_by_planes(motion, before, seen)) is not None:
+        by_planes = None if doubted else planes_confirm(motion, *fit, scan.elements, significance)
+        by_planes = by_planes or _moved_while_standing(motion, *fit, significance)
         if by_planes is not None:
             return by_planes, None
-    if (moved := _moved_while_standing(motion, before, seen, significance)) is not None:
-        return moved, None
     expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
     known = local_map(keyframes, backend, expected_T_world)
     if known is None:
@@ -163,7 +164,7 @@ def check(
     steady = _agree(motion, b_T_a @ prior.motion.a_T_b, prior.learnt().spatial, significance)
     if not doubted and steady:
         # a scan that slid away, as one does that is turned by half a right angle, meets nothing there that contradicts
-        is_near = _agree(motion, found.known_T_seen, stated(np.zeros((6, 6))), significance)
+        is_near = _agree(motion, found.known_T_seen, _LEFT_OUT, significance)
         if (found if is_near else held()).score >= 0.0:
             return Check(False, *rests), laid
     seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
@@ -188,40 +189,19 @@ def _clearly(motion: Motion, prior: MotionPrior, found: Alignment, share: float)
     return float(np.sum((held - prior.log_density(off, place))[axes]) - log(share))
 
 
-def planes_confirm(
-    motion: Motion, before: Sequence[Plane], seen: Sequence[Plane], elements: FloatArray, significance: float
-) -> Check | None:
-    """What the planes of two scans say, if they agree with a motion and leave nothing to other returns.
-
-    What tells a wrong motion from a true one is how well it is known where the scan comes to rest, and how well the
-    motion is. By planes the two together must be about as small, in every direction, as by returns at their best.
-
-    Args:
-        motion: what is known of the motion.
-        before: planes of the scan before, in the frame of the body then.
-        seen: those of this one, in the frame of the body now.
-        elements: surface elements of this one, shape (N, 9).
-        significance: probability that a true motion is not confirmed.
-
-    Returns:
-        Where they have the body; None: they do not confirm the motion.
-    """
-    fit = _laid_by_planes(motion, before, seen)
-    if fit is None:
-        return None
-    place, covariance = fit
-    (by_planes, fitted), (at_best, _) = _believed(covariance), _by_returns(most_information(elements))
-    apart = motion.spatial
-    widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
-    if widest >= _AS_GOOD**2 or not _agree(motion, place, fitted, significance):
-        return None
-    return Check(False, by_planes, displacement(np.eye(4), place), fitted)
-
-
-def _laid_by_planes(
+def laid_by_planes(
     motion: Motion, before: Sequence[Plane], seen: Sequence[Plane]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Where most planes of a scan lie on those of the one before, from where a motion leads, with GTSAM covariance."""
+    """Where the planes of a scan lie on those of the one before, None: most find no partner.
+
+    Args:
+        motion: where they are expected.
+        before: planes of the scan before, in the frame of the body then.
+        seen: those of this one, in the frame of the body now.
+
+    Returns:
+        The place from where the motion leads, shape (4, 4), and its covariance, GTSAM order, (6, 6).
+    """
     mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
     if not len(pairs) or not _most_paired(mine, pairs[:, 0]):
@@ -230,22 +210,44 @@ def _laid_by_planes(
     return None if fit is None else (inverse(motion.a_T_b) @ fit[0], fit[1])
 
 
-def _moved_while_standing(
-    motion: Motion, before: Sequence[Plane], seen: Sequence[Plane], significance: float
+def planes_confirm(
+    motion: Motion, place: FloatArray, covariance: FloatArray, elements: FloatArray, significance: float
 ) -> Check | None:
-    """What the planes of two scans say against wheels that stand, None: nothing.
+    """What the planes of two scans say, if they agree with a motion and leave nothing to other returns.
+
+    What tells a wrong motion from a true one is how well it is known where the scan comes to rest, and how well the
+    motion is. By planes the two together must be about as small, in every direction, as by returns at their best.
+
+    Args:
+        motion: what is known of the motion.
+        place, covariance: where `laid_by_planes` has them.
+        elements: surface elements of this scan, shape (N, 9).
+        significance: probability that a true motion is not confirmed.
+
+    Returns:
+        Where they have the body; None: they do not confirm the motion.
+    """
+    (by_planes, fitted), (at_best, _) = _believed(covariance), _by_returns(most_information(elements))
+    apart = motion.spatial
+    widest = np.max(eigh(by_planes + apart, at_best + apart, eigvals_only=True))
+    if widest >= _AS_GOOD**2 or not _agree(motion, place, fitted, significance):
+        return None
+    return Check(False, by_planes, displacement(np.eye(4), place), fitted)
+
+
+def _moved_while_standing(
+    motion: Motion, place: FloatArray, covariance: FloatArray, significance: float
+) -> Check | None:
+    """What the planes of two scans say against wheels that stand, None: nothing; arguments as of `planes_confirm`.
 
     What a fit leaves out is alike in two scans of one place: while a body stands its planes stay where they are to
     their noise. In a bare corridor they tell that it turns and goes aside by a little, as a body does that drives on.
     """
-    fit = None if are_apart(np.eye(4), motion.a_T_b, STANDING, STANDING) else _laid_by_planes(motion, before, seen)
-    if fit is None:
+    by_planes, fitted = _believed(covariance)
+    stands = not are_apart(np.eye(4), motion.a_T_b, STANDING, STANDING)
+    if not stands or _agree(motion, place, by_planes - _LEFT_OUT, significance):
         return None
-    place, (believed, fitted) = fit[0], _believed(fit[1])
-    by_noise = believed - stated(np.zeros((6, 6)))
-    if _agree(motion, place, by_noise, significance):
-        return None
-    return Check(True, believed, displacement(np.eye(4), place), fitted)
+    return Check(True, by_planes, displacement(np.eye(4), place), fitted)
 
 
 def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:

@@ -16,7 +16,7 @@ from slam.registration import relocalization
 from slam.runs.slam_run import Run, run_slam
 from slam.sensors.log import CloudScan, OdometryReading
 from slam.tracking import odometry_check
-from slam.tracking.odometry_check import planes_confirm
+from slam.tracking.odometry_check import laid_by_planes, planes_confirm
 from spplanes import Plane
 from spplanes._check import FloatArray
 from tests.slam.depth_scenes import with_widths
@@ -49,18 +49,23 @@ def seen_twice(planes: list[Plane], seed: int) -> tuple[list[Plane], list[Plane]
     return measured(planes, FIRST, rng), measured(planes, SECOND, rng)
 
 
+def confirmed(motion: Motion, before: list[Plane], seen: list[Plane], elements: FloatArray) -> bool:
+    fit = laid_by_planes(motion, before, seen)
+    return fit is not None and planes_confirm(motion, *fit, elements, SIGNIFICANCE) is not None
+
+
 def test_true_odometry_is_confirmed_by_the_planes_of_a_hall() -> None:
     rng = np.random.default_rng(0)
     for seed in range(60):
         before, seen = seen_twice(hall(), seed)
         motion = odometry(SIGMAS * rng.standard_normal(3))
-        assert planes_confirm(motion, before, seen, elements_of(seen), SIGNIFICANCE) is not None
+        assert confirmed(motion, before, seen, elements_of(seen))
 
 
 @pytest.mark.parametrize("off", [(0.5, 0, 0), (0, -0.4, 0), (0, 0, 0.1), (1, 1, 0.5), (0, 0.08, 0)])
 def test_wrong_odometry_is_not(off: tuple[float, float, float]) -> None:
     before, seen = seen_twice(hall(), 1)
-    assert planes_confirm(odometry(np.array(off)), before, seen, elements_of(seen), SIGNIFICANCE) is None
+    assert not confirmed(odometry(np.array(off)), before, seen, elements_of(seen))
 
 
 def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_something() -> None:
@@ -70,16 +75,16 @@ def test_what_planes_leave_open_is_left_to_the_returns_where_these_may_say_somet
     across = SECOND[:3, :3].T @ (0.0, 1.0, 0.0)
     clutter = with_widths(np.array([(*point, *across, 0.01, ON_NO_PLANE) for point in np.eye(3)]))
     # all returns leave it open as well
-    assert planes_confirm(motion, before, seen, on_planes, SIGNIFICANCE) is not None
-    assert planes_confirm(motion, before, seen, np.vstack((on_planes, clutter)), SIGNIFICANCE) is None
+    assert confirmed(motion, before, seen, on_planes)
+    assert not confirmed(motion, before, seen, np.vstack((on_planes, clutter)))
 
 
 def test_planes_of_which_the_last_scan_had_less_than_half_confirm_nothing() -> None:
     before, seen = seen_twice(hall(), 3)
     motion, elements = odometry(np.zeros(3)), elements_of(seen)
-    assert planes_confirm(motion, before[:5], seen, elements, SIGNIFICANCE) is not None
-    assert planes_confirm(motion, before[4:], seen, elements, SIGNIFICANCE) is None
-    assert planes_confirm(motion, [], seen, elements, SIGNIFICANCE) is None
+    assert confirmed(motion, before[:5], seen, elements)
+    assert not confirmed(motion, before[4:], seen, elements)
+    assert not confirmed(motion, [], seen, elements)
 
 
 def test_walls_across_the_way_that_find_no_partner_are_not_outvoted_by_those_along_it() -> None:
@@ -87,8 +92,8 @@ def test_walls_across_the_way_that_find_no_partner_are_not_outvoted_by_those_alo
     off = 0.13
     before, seen = seen_twice([*hall(), wall((LONG - off, 0.0, 1.5), (-1.0, 0.0, 0.0), 2.0, 2.0)], 5)
     ahead = np.array([*(SECOND[:2, :2].T @ (off, 0.0)), 0.0])
-    assert planes_confirm(odometry(ahead), before, seen, elements_of(seen), SIGNIFICANCE) is None
-    assert planes_confirm(odometry(0.0 * ahead), before, seen, elements_of(seen), SIGNIFICANCE) is not None
+    assert not confirmed(odometry(ahead), before, seen, elements_of(seen))
+    assert confirmed(odometry(0.0 * ahead), before, seen, elements_of(seen))
 
 
 def test_returns_are_laid_on_what_was_seen_only_where_planes_do_not_confirm(monkeypatch: pytest.MonkeyPatch) -> None:
