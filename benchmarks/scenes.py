@@ -28,7 +28,9 @@ from spplanes.registration import register_scans
 #: The iterative RANSAC: points of the smallest plane, planes at most, tries each.
 LEAST_POINTS, MOST_PLANES, TRIES = 200, 20, 100
 #: The tilting SICK of 3dtk_corridor: 1 cm of range noise; its tilt servo jerks from line to line, and drifts.
-CORRIDOR_SENSOR = SensorModel(0.01, scan_shift_sigma_m=0.005, scan_tilt_sigma_rad=0.003, surface_sigma_m=0.02)
+CORRIDOR_SENSOR = SensorModel(
+    range_sigma_m=0.01, scan_shift_sigma_m=0.005, scan_tilt_sigma_rad=0.003, surface_sigma_m=0.02
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,21 @@ from benchmarks.corpus.summary import by_kind, compared, digits, key
 #: Longest that a drive may take, s.
 LIMIT_S = 900.0
 #: Columns of a row as it is printed when it comes.
-_SHOWN = (
-    "drive; seed; state; rmse, m; worst, m; sigma, m; judged; pose NEES; planes; plane NEES/dof; duplicates; verdict"
-    "; CPU s"
-)
+_SHOWN = [
+    "drive",
+    "seed",
+    "state",
+    "rmse, m",
+    "worst, m",
+    "sigma, m",
+    "judged",
+    "pose NEES",
+    "planes",
+    "plane NEES/dof",
+    "duplicates",
+    "verdict",
+    "CPU s",
+]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,7 +53,7 @@ def add_choice(one: argparse.ArgumentParser) -> None:
     one.add_argument("--short", action="store_true", help="every kind once")
     one.add_argument("--seeds", type=seeds_of, default=range(1), metavar="A:B", help="seeds from A to B - 1; 0:1")
     one.add_argument("--kind", nargs="+", default=[], metavar="NAME", help="part of a drive's name, pattern, or name")
-    one.add_argument("--draw", type=int, metavar="N", help="N drives out of all combinations, by seed from A on")
+    one.add_argument("--draw", type=int, metavar="N", help="N random drives out of all combinations, by seed from A on")
     one.add_argument("--limit", type=float, default=LIMIT_S, metavar="S", help="longest that a drive may take, s")
 
 
@@ -57,8 +68,9 @@ def seeds_of(word: str) -> range:
 
 def chosen(asked: argparse.Namespace) -> list[Entry]:
     """The drives that are asked for."""
-    by_name = asked.draw is None
-    return corpus(asked.seeds, short=asked.short, kinds=asked.kind) if by_name else drawn(asked.draw, asked.seeds)
+    if asked.draw is not None:
+        return drawn(asked.draw, asked.seeds)
+    return corpus(asked.seeds, short=asked.short, kinds=asked.kind)
 
 
 def main(words: Sequence[str]) -> int:
@@ -114,7 +126,7 @@ def publish(name: str, lines: list[Row], *, short: bool, seconds: float) -> None
 def printed(rows: Iterator[Row]) -> Iterator[Row]:
     """The rows, each on the screen as it comes."""
     for row in rows:
-        shown = [name for name in _SHOWN.split("; ") if row.get(name) is not None]
+        shown = [name for name in _SHOWN if row.get(name) is not None]
         print(", ".join(f"{name} {digits(row[name])}" for name in shown), flush=True)
         yield row
 

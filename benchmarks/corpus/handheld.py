@@ -134,12 +134,14 @@ class _Camera:
         """One camera out of many."""
         beams = camera_beams(_ROWS, _COLUMNS, _FOCAL)
         x, y = np.moveaxis(beams.directions[..., :2] / beams.directions[..., 2:], -1, 0)
-        waves = [rng.uniform(-1.5, 1.5, (6, 2)), rng.normal(0.0, _FALSE_SHARE, 6), rng.uniform(0, 7, 6)]
-        waves = np.column_stack(waves)
+        slopes, sizes, starts = rng.uniform(-1.5, 1.5, (6, 2)), rng.normal(0.0, _FALSE_SHARE, 6), rng.uniform(0, 7, 6)
+        waves = np.column_stack((slopes, sizes, starts))
         false = np.sum([c * np.cos(2.0 * np.pi * (a * x + b * y) + start) for a, b, c, start in waves], axis=0)
         return cls(beams, false if carried.sparse else np.zeros_like(x), carried.sparse)
 
-    def image(self, world: PolygonWorld, world_T_camera: FloatArray, rng: np.random.Generator) -> tuple:
+    def image(
+        self, world: PolygonWorld, world_T_camera: FloatArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, np.ndarray]:
         """Points (H, W, 3) in the camera's frame, NaN for no depth, and the plane of each, (H, W)."""
         turn, directions = world_T_camera[:3, :3], self.beams.directions
         origins = np.tile(world_T_camera[:3, 3], (_ROWS, 1))

@@ -99,7 +99,12 @@ def _at(points: FloatArray, heights: FloatArray) -> FloatArray:
 
 
 def _add_wall(
-    builder: PolygonBuilder, a: FloatArray, b: FloatArray, roof: Roof, known: dict, glass: tuple[float, float] | None
+    builder: PolygonBuilder,
+    a: FloatArray,
+    b: FloatArray,
+    roof: Roof,
+    known: dict[tuple[float, float, float], int],
+    glass: tuple[float, float] | None,
 ) -> None:
     """A wall from a to b, free space on the left; `known` holds the planes of walls by their line."""
     along = (b - a) / np.linalg.norm(b - a)
@@ -120,9 +125,10 @@ def add_furniture(
     plan: Polygon,
     way: LineString,
     rng: Generator,
+    *,
     pieces: int,
     oblique: bool,
-    poles=0,
+    poles: int = 0,
 ) -> None:
     """Boxes and poles about in the free space, clear of the way; half of the oblique boxes have a slanted top."""
     free = plan.buffer(-0.02).difference(way.buffer(CLEAR_M))

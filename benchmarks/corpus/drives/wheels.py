@@ -60,8 +60,14 @@ def stops(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> 
 
 
 #: Kinds of odometry; None: there is none.
-ODOMETRIES: dict[str, Odometry | None] = {"good": good, "worse3": worse, "biased": biased, "absent": None}
-ODOMETRIES |= {"still": still, "stops": stops}
+ODOMETRIES: dict[str, Odometry | None] = {
+    "good": good,
+    "worse3": worse,
+    "biased": biased,
+    "absent": None,
+    "still": still,
+    "stops": stops,
+}
 
 
 def _over_ramps(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from shapely import LineString, Polygon, box, unary_union
@@ -195,11 +194,13 @@ def _furnished(
     roof: Roof,
     rng: np.random.Generator,
     *,
+    pieces: int,
+    oblique: bool,
+    poles: int = 0,
     glass: Panes | None = None,
-    **pieces: Any,
 ) -> Scene:
     """The building with furniture, and the way through it."""
     builder, points = PolygonBuilder(), [(float(x), float(y)) for x, y in corners]
     add_shell(builder, plan, roof, glass=glass)
-    add_furniture(builder, plan, LineString(points), rng, **pieces)
+    add_furniture(builder, plan, LineString(points), rng, pieces=pieces, oblique=oblique, poles=poles)
     return Scene(builder.build(), Course(Path.rounded(points, _TURN_M)))
