@@ -69,7 +69,7 @@ _EACH_ONCE = (
     "irregular/lidar32 office/paper sloped/lidar16 loop/level cluttered/lidar16 glass/lidar16 bare/level"
     " symmetric/level ramp/lidar16 people/lidar16 hall/depth irregular/pushbroom"
     " irregular/lidar16/worse3 loop/level/biased office/lidar16/absent bare/lidar16/absent"
-    " irregular/level/absent irregular/lidar16/still irregular/lidar16/stops"
+    " loop/level/undescribed irregular/level/absent irregular/lidar16/still irregular/lidar16/stops"
     " office/level/good/backwards office/level/good/noise0.3 irregular/paper/good/noise3"
     " office/level/good/half irregular/lidar16/good/fifth loop/level/good/reversed"
     " office/level/good/prior office/level/good/prior_start irregular/lidar16/good/prior_elsewhere"

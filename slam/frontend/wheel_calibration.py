@@ -24,15 +24,23 @@ class WheelCalibration:
     With the calibration c of covariance C, G the response of a motion to it, Q the covariance of the predicted motion
     and P that of the motion after everything was seen, the motion's correction i teaches C G^T Q^-1 i, and C shrinks
     by C G^T Q^-1 (Q - P) Q^-1 G C: nothing when nothing was seen (P = Q).
+
+    Every motion is as wide by itself as its errors of calibration make it, though they are the same in all: for a step
+    that is right, over a way it is too little. Once the graph was asked (`CalibrationByGraph`) they are `shared`.
     """
 
     def __init__(self) -> None:
         self.mean = np.zeros(2)
         self.covariance: FloatArray | None = None
+        self.shared = False
+
+    def share(self, mean: FloatArray, covariance: FloatArray) -> None:
+        """From now on all motions have this mean, and none is wider for what is open about it: covariances hold it."""
+        self.mean, self.covariance, self.shared = mean, covariance, True
 
     def predict(self, motion: Motion) -> Motion:
         """The motion corrected by what is known of the wheels; as it is while no such errors are stated nor found."""
-        if motion.response is None or not np.any(motion.calibration_sigmas):
+        if motion.response is None or self.shared or not np.any(motion.calibration_sigmas):
             return self.corrected(motion)
         initial = unknown_at_first(motion)
         if self.covariance is None:
@@ -43,10 +51,7 @@ class WheelCalibration:
         return self.corrected(motion)
 
     def corrected(self, motion: Motion) -> Motion:
-        """A motion as measured, by what is known of the wheels now.
-
-        As wide as they may be off where such errors are stated; what is found where none are, all motions share.
-        """
+        """A motion as measured, by what is known of the wheels; as wide as they may be off while that is its own."""
         if motion.response is None or self.covariance is None:
             return motion
         turned, shifted = np.eye(4), motion.a_T_b.copy()
@@ -54,10 +59,10 @@ class WheelCalibration:
         turned[:2, :2] = ((np.cos(heading), -np.sin(heading)), (np.sin(heading), np.cos(heading)))
         shifted[:3, :3] = turned[:3, :3] @ shifted[:3, :3]
         shifted[:2, 3] += x, y
-        if not np.any(motion.calibration_sigmas):
-            return replace(motion, a_T_b=shifted)
-        more = shared_covariance(motion, self.covariance - np.diag(np.square(motion.calibration_sigmas)))
-        return replace(motion, a_T_b=shifted, covariance=motion.covariance + more)
+        covariance = random_covariance(motion)
+        if not self.shared:
+            covariance = covariance + shared_covariance(motion, self.covariance)
+        return replace(motion, a_T_b=shifted, covariance=covariance)
 
     def learn(self, predicted: Motion, a_T_b: FloatArray, covariance: FloatArray) -> None:
         """Take in what became of a predicted motion.
@@ -67,16 +72,33 @@ class WheelCalibration:
             a_T_b: The motion by the estimate, shape (4, 4).
             covariance: Of its (x, y, theta), shape (3, 3), in the axes of a.
         """
-        if self.covariance is None or predicted.response is None or not predicted.is_planar:
+        if self.covariance is None or self.shared or predicted.response is None or not predicted.is_planar:
             return
         correction = difference(planar_delta(a_T_b), planar_delta(predicted.a_T_b))
         told = np.linalg.solve(predicted.covariance, correction)
         gained = predicted.covariance - covariance
         if correction @ told > chdtri(3, _SIGNIFICANCE) or np.linalg.eigvalsh(gained)[-1] <= 0.0:
             return
-        gain = self.covariance @ np.linalg.solve(predicted.covariance, predicted.response).T
+        gain = self.covariance @ np.linalg.solve(predicted.covariance, response_as_moved(predicted, a_T_b)).T
         self.mean = self.mean + gain @ correction
         self.covariance = self.covariance - gain @ positive(gained) @ gain.T
+
+
+def response_as_moved(motion: Motion, a_T_b: FloatArray) -> FloatArray:
+    """The response of a motion, shape (3, 2), by how far the body moved: for a scale that is the way itself.
+
+    As measured the way has the noise that the scale is to explain. Taken for it, n steps whose way across, say, is told
+    and none along pull the scale towards -1 by as much as n measurements of it, each with a sigma of 1: they are
+    explained as soon as nothing counts.
+
+    Args:
+        motion: as it was measured.
+        a_T_b: the motion by the estimate, shape (4, 4).
+    """
+    assert motion.response is not None
+    response = motion.response.copy()
+    response[:2, 0] = a_T_b[:2, 3]
+    return response
 
 
 def unknown_at_first(motion: Motion) -> FloatArray:
@@ -90,3 +112,8 @@ def shared_covariance(motion: Motion, covariance: FloatArray) -> FloatArray:
     assert motion.response is not None
     planar = motion.response @ covariance @ motion.response.T
     return planar if motion.is_planar else spatial_covariance(planar, motion.a_T_b, (0.0, 0.0, 0.0))
+
+
+def random_covariance(motion: Motion) -> FloatArray:
+    """The part of a motion's covariance that is of no other motion: without the stated errors of calibration."""
+    return motion.covariance - shared_covariance(motion, np.diag(np.square(motion.calibration_sigmas)))

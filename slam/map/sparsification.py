@@ -16,7 +16,7 @@ from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, information_as_seen
 from slam.frontend.odometry import Motion
-from slam.frontend.wheel_calibration import shared_covariance
+from slam.frontend.wheel_calibration import random_covariance, shared_covariance
 from slam.map.landmarks import LandmarkMap
 from spplanes._check import FloatArray
 
@@ -275,7 +275,10 @@ def chained(first: Motion, second: Motion) -> Motion:
     carry[:2, 2] = -moved[1], moved[0]
     response, own = None, (first.covariance, second.covariance)
     if first.response is not None and second.response is not None:
-        response, own = carry @ first.response + turn @ second.response, (_own(first), _own(second))
+        response, own = (
+            carry @ first.response + turn @ second.response,
+            (random_covariance(first), random_covariance(second)),
+        )
     if first.is_planar:
         covariance = carry @ own[0] @ carry.T + turn @ own[1] @ turn.T
         out = _out_of_plane(first, second)
@@ -285,16 +288,8 @@ def chained(first: Motion, second: Motion) -> Motion:
     whole = Motion(a_T_c, covariance, out, response, first.calibration_sigmas)
     if response is None:
         return whole
-    return replace(whole, covariance=covariance + shared_covariance(whole, _stated(whole)))
-
-
-def _own(motion: Motion) -> FloatArray:
-    """The part of a covariance that is of no other motion."""
-    return motion.covariance - shared_covariance(motion, _stated(motion))
-
-
-def _stated(motion: Motion) -> FloatArray:
-    return np.diag(np.square(motion.calibration_sigmas))
+    stated = np.diag(np.square(whole.calibration_sigmas))
+    return replace(whole, covariance=covariance + shared_covariance(whole, stated))
 
 
 def _out_of_plane(first: Motion, second: Motion) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
@@ -12,14 +13,20 @@ from scipy.special import expit
 from slam.backend.estimator import Backend, BackendError, pose_symbol
 from slam.backend.joint_covariance import SharedUnknown
 from slam.frontend.odometry import Motion
-from slam.frontend.wheel_calibration import WheelCalibration, unknown_at_first
+from slam.frontend.wheel_calibration import (
+    WheelCalibration,
+    random_covariance,
+    response_as_moved,
+    unknown_at_first,
+)
+from slam.geometry.frames import inverse
 from slam.map.sparsification import MeasuredStep, Sparsifier
 from spplanes._check import FloatArray
 
 #: The key of the unknown, in the linear graph alone.
 _KEY = gtsam.symbol("c", 0)
 #: Steps before it is first asked for, and by how many times more before it is asked for again.
-_FIRST, _GROWTH = 16, 1.25
+_FIRST, _GROWTH = 4, 1.25
 #: Rounds of relinearisation after the steps changed.
 _ROUNDS = 5
 
@@ -65,7 +72,7 @@ class CalibrationByGraph:
             return False
         self._next = int(np.ceil(_GROWTH * self._sparsifier.n_measured))
         steps = self._sparsifier.measured_steps()
-        if not steps or any(np.any(step.motion.calibration_sigmas) for step in steps):
+        if not steps:
             return False
         try:
             found, _ = calibration_by_graph(steps, self._backend)
@@ -73,7 +80,8 @@ class CalibrationByGraph:
             return False
         if self._used is None and found.as_stated >= 0.5:
             return False
-        calibration.mean, calibration.covariance, self._used = found.mean, found.covariance, found.mean
+        calibration.share(found.mean, found.covariance)
+        self._used = found.mean
         factors = [_factor(step, calibration.corrected(step.motion)) for step in steps]
         indices = self._backend.exchange(factors, [step.factor_index for step in steps], ())
         self._sparsifier.relinked(steps, indices)
@@ -103,9 +111,11 @@ def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tup
     covariance = np.linalg.inv(graph.information + np.linalg.inv(prior))
     mean = covariance @ graph.vector
     log_odds = 0.5 * float(graph.vector @ mean - np.linalg.slogdet(np.eye(2) + prior @ graph.information)[1])
-    some = float(expit(log_odds))
+    some = 1.0 if np.any(steps[0].motion.calibration_sigmas) else float(expit(log_odds))
     covariance = some * (0.5 * (covariance + covariance.T) + (1.0 - some) * np.outer(mean, mean))
-    return FoundCalibration(some * mean, covariance, 1.0 - some), graph
+    found = some * mean
+    found[0] /= 1.0 - found[0]  # a share of the way driven, to one of the way measured
+    return FoundCalibration(found, covariance, 1.0 - some), graph
 
 
 def _factor(step: MeasuredStep, motion: Motion) -> gtsam.NonlinearFactor:
@@ -119,8 +129,8 @@ def _with_calibration(step: MeasuredStep, backend: Backend) -> gtsam.GaussianFac
     the tangent of its end.
     """
     keys = pose_symbol(step.before), pose_symbol(step.keyframe)
-    motion = step.motion
-    assert motion.response is not None
+    motion = replace(step.motion, covariance=random_covariance(step.motion))
+    response = response_as_moved(motion, inverse(backend.pose(keys[0])) @ backend.pose(keys[1]))
     linear = _factor(step, motion).linearize(backend.values_of(keys))
     jacobian, target = linear.jacobian()
     first, second = jacobian[:, :6], jacobian[:, 6:]
@@ -128,6 +138,6 @@ def _with_calibration(step: MeasuredStep, backend: Backend) -> gtsam.GaussianFac
         first, second = second, first
     b_R_a = motion.a_T_b[:3, :3].T
     moved = np.zeros((6, 2))
-    moved[:3], moved[3:] = np.outer(b_R_a[:, 2], motion.response[2]), b_R_a[:, :2] @ motion.response[:2]
+    moved[:3], moved[3:] = np.outer(b_R_a[:, 2], response[2]), b_R_a[:, :2] @ response[:2]
     unit = gtsam.noiseModel.Unit.Create(len(target))
     return gtsam.JacobianFactor(keys[0], first, keys[1], second, _KEY, -second @ moved, target, unit)

@@ -13,13 +13,12 @@ import numpy as np
 from benchmarks.corpus.drives.disturbances import DISTURBANCES, Drive
 from benchmarks.corpus.drives.scene import Scene
 from benchmarks.corpus.drives.sensing import SENSORS, Sensing
-from benchmarks.corpus.drives.wheels import ODOMETRIES, ON_RAMPS
+from benchmarks.corpus.drives.wheels import ODOMETRIES, stated_noise
 from benchmarks.corpus.drives.worlds import WORLDS
 from slam.io.scan_files import in_order
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from slam.simulation.record import BLOCK_BEAMS, SPEED_M_PER_S, START_NS, Truth
-from slam.simulation.robots import ON_LEVEL_FLOOR
 from slam.simulation.world import NO_PLANE
 
 #: Odometry is read at least this often, m.
@@ -92,7 +91,8 @@ def _recorded(
     ticks = np.arange(int(scene.course.length_m / tick_m))
     stamps = START_NS + ticks * round(tick_m / SPEED_M_PER_S * 1e9)
     poses = scene.course.poses_at(ticks.astype(np.float64) * tick_m)
-    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=ON_LEVEL_FLOOR if scene.course.level else ON_RAMPS)
+    stated = stated_noise(recipe.odometry, level=scene.course.level)
+    rig = Rig(sensors={s.name: s.sensor for s in suite}, odometry=stated)
     read, labels = ODOMETRIES[recipe.odometry], {}
     events: list[Event] = []
     if read is not None:

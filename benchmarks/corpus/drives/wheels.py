@@ -1,4 +1,4 @@
-"""Odometry of random drives: as good as the rig says, worse, biased, absent, standing still or for a while."""
+"""Odometry of random drives: as good as the rig says, worse, biased, not described, absent, standing still or stops."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from slam.sensors.wheel_noise import OdometryNoise
+from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from slam.simulation.record import drifting_odometry
-from slam.simulation.robots import pose_matrices
+from slam.simulation.robots import ON_LEVEL_FLOOR, pose_matrices
 from spplanes._check import FloatArray
 
 #: What the rig says of a robot that also measures its attitude: from one keyframe to the next.
@@ -38,11 +38,21 @@ def worse(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> 
 
 def biased(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
     """Ways 3 % wrong and a heading that drifts, of which the rig says nothing."""
-    scale, drift = rng.choice([-1.0, 1.0], 2) * (_SCALE, _DRIFT_RAD_PER_M)
+    return _erring(poses, rng.choice([-1.0, 1.0], 2) * (_SCALE, _DRIFT_RAD_PER_M), noise, rng)
+
+
+def undescribed(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
+    """Errors of calibration as large as those of wheels that nobody describes; all else is the noise."""
+    return _erring(poses, rng.standard_normal(2) * UNCALIBRATED_WHEELS.calibration_sigmas, noise, rng)
+
+
+def _erring(poses: FloatArray, errors: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
+    """Ways wrong by a share, and a heading that drifts by so much a metre, shape (2,)."""
     steps = np.linalg.inv(poses[:-1]) @ poses[1:]
-    turns = drift * np.linalg.norm(steps[:, :3, 3], axis=1)
-    steps[:, :2, 3] *= 1.0 + scale
+    turns = errors[1] * np.linalg.norm(steps[:, :3, 3], axis=1)
+    steps[:, :2, 3] *= 1.0 + errors[0]
     steps[:, :3, :3] = pose_matrices(np.column_stack([0.0 * turns, 0.0 * turns, turns]))[:, :3, :3] @ steps[:, :3, :3]
+    noise = noise.model_copy(update={"scale_sigma": 0.0, "curvature_sigma_rad_per_m": 0.0})
     return good(_chained(poses[0], steps), noise, rng)
 
 
@@ -64,10 +74,20 @@ ODOMETRIES: dict[str, Odometry | None] = {
     "good": good,
     "worse3": worse,
     "biased": biased,
+    "undescribed": undescribed,
     "absent": None,
     "still": still,
     "stops": stops,
 }
+
+
+def stated_noise(odometry: str, *, level: bool) -> OdometryNoise:
+    """What the rig says of wheels of a kind, on one floor or over ramps."""
+    stated = ON_LEVEL_FLOOR if level else ON_RAMPS
+    if odometry != "undescribed":
+        return stated
+    out_of_plane = {name: getattr(stated, name) for name in ("z_sigma_m", "pitch_sigma_rad", "roll_sigma_rad")}
+    return UNCALIBRATED_WHEELS.model_copy(update=out_of_plane)
 
 
 def _over_ramps(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:

@@ -2,6 +2,7 @@
 
 import gtsam
 import numpy as np
+import pytest
 
 from slam.backend.estimator import pose_symbol
 from slam.frontend.odometry import OdometryTrack, planar_delta
@@ -12,7 +13,7 @@ from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from slam.tracking.calibration_by_graph import CalibrationByGraph, calibration_by_graph
 from tests.slam.short_drives import mapped_beginning
-from tests.slam.tracking.wheeled_chains import Chain, chain, seen
+from tests.slam.tracking.wheeled_chains import NOISE, Chain, chain, seen
 from tests.statistics import assert_mean_in_band
 
 _PRIOR = np.array(UNCALIBRATED_WHEELS.calibration_sigmas)
@@ -54,9 +55,23 @@ def test_errors_of_calibration_are_honest_and_what_a_rig_states_is_believed() ->
     assert np.median([found.as_stated for found in stated]) > 0.9
 
 
-def test_what_steps_share_is_in_the_covariances_exactly() -> None:
+def test_a_scale_that_nothing_tells_is_not_found() -> None:
+    """Along a bare corridor: how far it went across, by noise alone, would be explained by a scale of -1."""
+    noise = NOISE.model_copy(update={"lateral_sigma_m_per_sqrt_m": 0.03})
+    corridor = {"seen_every": 1, "stated": True, "noise": noise, "along_m": 1e3, "turns_rad": 0.002}
+    rng, means = np.random.default_rng(7), []
+    for _ in range(20):
+        made = chain(rng, np.zeros(2), **corridor)
+        found, _ = calibration_by_graph(made.steps, made.backend)
+        assert found.covariance[0, 0] > 0.85 * _PRIOR[0] ** 2
+        means.append(found.mean[0] / _PRIOR[0])
+    assert abs(np.mean(means)) < 0.2
+
+
+@pytest.mark.parametrize("stated", [False, True], ids=["unstated", "stated"])
+def test_what_steps_share_is_in_the_covariances_exactly(stated: bool) -> None:
     """The graph with the errors as a variable of its own, solved as one: the same marginals."""
-    made = calibrated(chain(np.random.default_rng(2), np.array((0.03, -0.05)), until=31))
+    made = calibrated(chain(np.random.default_rng(2), np.array((0.03, -0.05)), until=31, stated=stated))
     unknown, backend = gtsam.symbol("c", 0), made.backend
     whole, graph = gtsam.GaussianFactorGraph(), backend.graph.linearize(backend.values)
     for index in range(graph.size()):
@@ -88,14 +103,15 @@ def test_what_steps_share_is_in_the_covariances_exactly() -> None:
     np.testing.assert_allclose(backend.read_covariance(keys[1]), alone, rtol=1e-6)
 
 
-def test_poses_far_from_what_was_seen_are_honest() -> None:
+@pytest.mark.parametrize("stated", [False, True], ids=["unstated", "stated"])
+def test_poses_far_from_what_was_seen_are_honest(stated: bool) -> None:
     """After half the way nothing is seen: what is left open about the wheels moves all that follows alike."""
     rng, nees, blind = np.random.default_rng(3), [], []
     while len(nees) < 30:  # twice or half the covariance is off its band in 98 of 100
         errors = _PRIOR * rng.standard_normal(2)
-        if np.abs(errors / _PRIOR).max() < 1.0:
+        if not stated and np.abs(errors / _PRIOR).max() < 1.0:
             continue  # hardly to be told from none
-        made = calibrated(chain(rng, errors, until=31))
+        made = calibrated(chain(rng, errors, until=31, stated=stated))
         key = pose_symbol(len(made.true) - 1)
         off = planar_delta(inverse(made.backend.pose(key)) @ made.true[-1])
         told, without = made.backend.read_covariance(key), made.backend.read_joint_covariance([key], shared=False).full
@@ -126,7 +142,7 @@ def test_what_is_seen_after_the_graph_was_asked_is_counted_too() -> None:
 def test_what_the_graph_found_stays_until_it_is_asked_again() -> None:
     """Only what a rig states is learnt step by step: after a stretch where nothing was seen that went to NaN."""
     calibration, found = WheelCalibration(), np.diag((0.003, 0.003)) ** 2
-    calibration.mean, calibration.covariance = np.array((0.02, -0.02)), found.copy()
+    calibration.share(np.array((0.02, -0.02)), found.copy())
     for step in chain(np.random.default_rng(6), np.zeros(2)).steps:
         np.testing.assert_array_equal(calibration.predict(step.motion).covariance, step.motion.covariance)
     np.testing.assert_array_equal(calibration.covariance, found)
@@ -153,7 +169,7 @@ def test_the_response_of_a_motion_in_space_and_of_motions_in_a_row() -> None:
     np.testing.assert_allclose(parts.response, whole.response, atol=0.01)  # a ramp is a little longer than its plan
     for errors in ((0.01, 0.0), (0.0, 0.01)):
         calibration, erring = WheelCalibration(), ends(track(*errors))[0].a_T_b
-        calibration.mean, calibration.covariance = np.array(errors), np.diag((1e-6, 1e-6))
+        calibration.share(np.array(errors), np.diag((1e-6, 1e-6)))
         for motion in (whole, parts):
             moved = calibration.corrected(motion)
             off, was = (planar_delta(inverse(one.a_T_b) @ erring) for one in (moved, motion))

@@ -11,7 +11,7 @@ from slam.config import BackendConfig
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import planar_transform
 from slam.map.sparsification import MeasuredStep
-from slam.sensors.wheel_noise import OdometryNoise
+from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from spplanes._check import FloatArray
 
 #: A rig that states no errors of calibration.
@@ -30,26 +30,41 @@ class Chain:
 
 
 def chain(
-    rng: np.random.Generator, errors: FloatArray, *, n_poses: int = 60, seen_every: int = 10, until: int | None = None
+    rng: np.random.Generator,
+    errors: FloatArray,
+    *,
+    n_poses: int = 60,
+    seen_every: int = 10,
+    until: int | None = None,
+    stated: bool = False,
+    noise: OdometryNoise = NOISE,
+    along_m: float = _SEEN_M,
+    turns_rad: float = 0.1,
 ) -> Chain:
     """Half a metre a step, turning; every so many poses are seen, none from one on.
 
-    `errors` are the scale and curvature that take measured motions to true ones.
+    `errors` are the scale and curvature that take measured motions to true ones; `stated` is a rig that says how large
+    they may be, `UNCALIBRATED_WHEELS` as of a robot nobody describes; `noise` is their random walk, and `along_m` how
+    well what is seen tells x.
     """
     backend, motions, indices, true = Backend(BackendConfig()), [], [], [np.eye(4)]
+    sigmas = UNCALIBRATED_WHEELS.calibration_sigmas if stated else NOISE.calibration_sigmas
     factors, values, at = [], gtsam.Values(), np.eye(4)
     for k in range(n_poses):
         if k:
-            measured = np.array((0.5, 0.0, rng.normal(0.0, 0.1)))
-            response, random = NOISE.response([measured]), NOISE.covariance(measured)
-            moved = measured + response @ errors + np.linalg.cholesky(random) @ rng.standard_normal(3)
+            moved = np.array((0.5, 0.0, rng.normal(0.0, turns_rad)))
             true.append(true[-1] @ planar_transform(*moved))
-            motion = Motion(planar_transform(*measured), random, (1e-3,) * 3, response, NOISE.calibration_sigmas)
+            measured = noisy = moved + np.linalg.cholesky(noise.covariance(moved)) @ rng.standard_normal(3)
+            for _ in range(4):  # so that it is, corrected by the errors, what it is without them
+                measured = noisy - noise.response([measured]) @ errors
+            response, random = noise.response([measured]), noise.covariance(measured)
+            wide = random + response @ np.diag(np.square(sigmas)) @ response.T
+            motion = Motion(planar_transform(*measured), wide, (1e-3,) * 3, response, sigmas)
             motions.append((motion, len(indices) + len(factors)))
             factors += motion.factors(pose_symbol(k - 1), pose_symbol(k))[:1]
             at = at @ motion.a_T_b
         if k % seen_every == 0 and (until is None or k < until):
-            factors.append(seen(rng, k, true[-1], exact=k == 0))
+            factors.append(seen(rng, k, true[-1], exact=k == 0, along_m=along_m))
         values.insert(pose_symbol(k), gtsam.Pose3(at))
         if k % seen_every == 0 or k == n_poses - 1:
             indices += backend.update(factors, values)
@@ -59,9 +74,11 @@ def chain(
     return Chain(backend, steps, np.array(true))
 
 
-def seen(rng: np.random.Generator, k: int, true: FloatArray, *, exact: bool = False) -> gtsam.NonlinearFactor:
-    """A look that tells a pose, world_T_body (4, 4), as well as looks do."""
-    sigmas = np.array([_SEEN_M, _SEEN_M, 1e-2, _SEEN_RAD, 1e-2, 1e-2])
+def seen(
+    rng: np.random.Generator, k: int, true: FloatArray, *, exact: bool = False, along_m: float = _SEEN_M
+) -> gtsam.NonlinearFactor:
+    """A look that tells a pose, world_T_body (4, 4), as well as looks do, and its x to `along_m`."""
+    sigmas = np.array([_SEEN_M if exact else along_m, _SEEN_M, 1e-2, _SEEN_RAD, 1e-2, 1e-2])
     off = np.zeros(6) if exact else sigmas * rng.standard_normal(6)
     x, y, heading = planar_delta(true) + off[[0, 1, 3]]
     return pose_prior(pose_symbol(k), planar_transform(x, y, heading), np.diag(sigmas**2))
