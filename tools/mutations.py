@@ -277,6 +277,20 @@ MUTATIONS = (
         "test_errors_of_calibration_are_honest_and_what_a_rig_states_is_believed",
     ),
     Mutation(
+        "calibration: a scale is told by the way as measured",
+        "slam/frontend/wheel_calibration.py",
+        "response[:2, 0] = a_T_b[:2, 3]",
+        "response[:2, 0] = motion.a_T_b[:2, 3]",
+        "tests/slam/tracking/test_calibration_by_graph.py::test_a_scale_that_nothing_tells_is_not_found",
+    ),
+    Mutation(
+        "repair: stretches as the estimate bends them",
+        "slam/loop_closure/whole_drive.py",
+        "list(reckoned[first:last]), reckoned[frame], config",
+        "list(poses[first:last]), poses[frame], config",
+        "tests/slam/runs/test_repair.py",
+    ),
+    Mutation(
         "calibration: what was seen since is forgotten",
         "slam/tracking/calibration_by_graph.py",
         "graph.known(found.covariance + np.outer(since, since))",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 
 import gtsam
 import numpy as np
@@ -64,9 +65,10 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
     steps = [keyframe.motion for keyframe in keyframes[1:]]
     if not steps or not all(step is not None and step.is_planar for step in steps):
         return None
-    way = way_to(poses)
-    found = list(_search(keyframes, poses, way, config))
-    graph, values = _solved([step for step in steps if step is not None], found, poses)
+    way, motions = way_to(poses), [step.scan_matched or step for step in steps if step is not None]
+    reckoned = np.array(list(accumulate((motion.a_T_b for motion in motions), np.matmul, initial=poses[0])))
+    found = list(_search(keyframes, poses, reckoned, way, config))
+    graph, values = _solved(motions, found, poses, reckoned)
     solved = np.array([planar_transform(*_delta(values.atPose2(index))) for index in range(len(poses))])
     limit = float(chdtri(3, config.significance))
     fitting = [one for one in found if one.pose.misfit(one.delta_by(solved)) <= limit]
@@ -77,14 +79,17 @@ def agreement(keyframes: Sequence[Keyframe], poses: FloatArray, config: LoopConf
 
 
 def _search(
-    keyframes: Sequence[Keyframe], poses: FloatArray, way: FloatArray, config: LoopConfig
+    keyframes: Sequence[Keyframe], poses: FloatArray, reckoned: FloatArray, way: FloatArray, config: LoopConfig
 ) -> Iterator[Proposal]:
-    """The likeliest relative pose of every pair of stretches, where it is likelier than all else together."""
+    """The likeliest relative pose of every pair of stretches, where it is likelier than all else together.
+
+    A stretch is as `reckoned`, step by step: where the estimate bends to a false loop, it is no building.
+    """
 
     @lru_cache(_VIEWS)
     def view(frame: int) -> PlaceView | None:
         first, last = np.searchsorted(way, (way[frame] - config.window_m, way[frame] + config.window_m)).tolist()
-        return view_of(keyframes[first:last], list(poses[first:last]), poses[frame], config)
+        return view_of(keyframes[first:last], list(reckoned[first:last]), reckoned[frame], config)
 
     for old, new in _pairs(keyframes, poses, way, config):
         here, there = view(new), view(old)
@@ -124,24 +129,25 @@ def _pairs(
 
 
 def _solved(
-    steps: Sequence[Motion], found: Sequence[Proposal], poses: FloatArray
+    steps: Sequence[Motion], found: Sequence[Proposal], *starts: FloatArray
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The graph of steps and findings, and the Pose2 of every keyframe by it."""
-    start = gtsam.Pose2(*planar_delta(poses[0]))
-    graph, estimate, reckoned = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Values()
-    graph.push_back(gtsam.NonlinearEqualityPose2(0, start))
-    for index, pose in enumerate(poses):
-        estimate.insert(index, gtsam.Pose2(*planar_delta(pose)))
-    reckoned.insert(0, start)
+    """The graph of steps and findings, and the Pose2 of every keyframe by it, from the best of some poses to start."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(gtsam.NonlinearEqualityPose2(0, gtsam.Pose2(*planar_delta(starts[0][0]))))
     for index, step in enumerate(steps):
-        motion = step.scan_matched or step
-        delta = planar_delta(motion.a_T_b)
-        graph.push_back(odometry_factor_2d(index, index + 1, delta, motion.covariance, robust=_KERNEL))
-        reckoned.insert(index + 1, reckoned.atPose2(index).compose(gtsam.Pose2(*delta)))
+        delta = planar_delta(step.a_T_b)
+        graph.push_back(odometry_factor_2d(index, index + 1, delta, step.covariance, robust=_KERNEL))
     for one in found:
         ends = one.old_keyframe, one.keyframe
         graph.push_back(odometry_factor_2d(*ends, one.pose.delta, one.pose.covariance, robust=_KERNEL))
-    return graph, min((_minimum(graph, values) for values in (estimate, reckoned)), key=graph.error)
+    return graph, min((_minimum(graph, _poses2(poses)) for poses in starts), key=graph.error)
+
+
+def _poses2(poses: FloatArray) -> gtsam.Values:
+    values = gtsam.Values()
+    for index, pose in enumerate(poses):
+        values.insert(index, gtsam.Pose2(*planar_delta(pose)))
+    return values
 
 
 def _inferred(
