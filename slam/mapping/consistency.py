@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import gtsam
 import numpy as np
 from scipy.special import gammaincinv
 
@@ -54,11 +55,8 @@ class NisAudit:
         """
         if prediction.hints:
             return
-        if prediction.planes_asked:
-            found = innovations_without_prediction(seen, decisions, prediction.pose_key, landmarks, backend)
-        else:
-            matches = ((one.observation, one.match) for one in decisions if one.match is not None)
-            found = [(number, match.chi2, match.dof) for number, match in matches]
+        ask = innovations_without_prediction if prediction.planes_asked else innovations
+        found = ask(seen, decisions, prediction.pose_key, landmarks, backend)
         for number, chi2, dof in found:
             if dof:
                 self.history.setdefault(seen[number].kind, Rows("idh")).append((prediction.index, chi2, dof))
@@ -114,6 +112,38 @@ class NisSummary:
         return cls(kind, len(history), total / dof, float(low), float(high))
 
 
+def innovations(
+    observations: Sequence[Observation],
+    decisions: Sequence[Decision],
+    pose_key: int,
+    landmarks: LandmarkMap,
+    backend: Backend,
+) -> list[tuple[int, float, int]]:
+    """(index of the observation, chi2, degrees of freedom) of every match, each beyond those before it.
+
+    A long wall tells a heading a thousand times better than wheels do: what is neglected of that innovation by a
+    linearisation before it is many sigmas of the next wall. So they are linearised again where the first update leads,
+    as in an iterated filter. To be asked before the keyframe's factors are in the graph.
+
+    References:
+        Bell, Cathey, "The iterated Kalman filter update as a Gauss-Newton method", IEEE Trans. Autom. Control 1993.
+    """
+    found = [(decision.observation, decision.match.landmark) for decision in decisions if decision.match is not None]
+    if not found:
+        return []
+    linear = _Linearised(observations, found, pose_key, landmarks, backend)
+    covariance, of_pose = linear.joint.full, linear.joint.columns([pose_key])
+    jacobian, residual, _ = linear.at(linear.values)
+    spread = covariance @ jacobian.T
+    change = spread[of_pose] @ np.linalg.solve(jacobian @ spread + np.eye(len(residual)), residual)
+    linear.values.update(pose_key, linear.values.atPose3(pose_key).retract(change))
+    jacobian, residual, ends = linear.at(linear.values)
+    root = np.linalg.cholesky(jacobian @ covariance @ jacobian.T + np.eye(len(residual)))
+    whitened = np.linalg.solve(root, residual + jacobian[:, of_pose] @ change)
+    parts = np.split(whitened, ends[1:-1])
+    return [(index, float(part @ part), len(part)) for (index, _), part in zip(found, parts, strict=True)]
+
+
 def innovations_without_prediction(
     observations: Sequence[Observation],
     decisions: Sequence[Decision],
@@ -133,19 +163,39 @@ def innovations_without_prediction(
     found.sort(key=lambda pair: (-observations[pair[0]].n_points, pair[0]))
     if not found:
         return []
-    keys = sorted({pose_key, *(key for _, i in found for key in (landmarks[i].key, landmarks[i].anchor_key))})
-    joint, values = backend.joint_covariance(keys), backend.values_of(keys)
-    rows, residuals = [], []
-    for index, landmark in found:
-        [hypothesis] = hypotheses_of(observations[index], [landmarks[landmark]], pose_key, joint, values, backend)
-        rows.append(np.zeros((len(hypothesis.target), len(joint.full))))
-        rows[-1][:, hypothesis.columns] = hypothesis.jacobian
-        residuals.append(hypothesis.target)
-    residual, by_pose = _whitened(np.vstack(rows), np.concatenate(residuals), joint.full, joint.columns([pose_key]))
-    ends = np.cumsum([0, *map(len, residuals)]).tolist()
+    linear = _Linearised(observations, found, pose_key, landmarks, backend)
+    jacobian, residual, ends = linear.at(linear.values)
+    residual, by_pose = _whitened(jacobian, residual, linear.joint.full, linear.joint.columns([pose_key]))
     left = [_left_over(residual[:end], by_pose[:end]) for end in ends]
     shares = zip(found, left[1:], left[:-1], strict=True)
     return [(index, max(chi2 - before, 0.0), dof - used) for (index, _), (chi2, dof), (before, used) in shares]
+
+
+class _Linearised:
+    """The factors of matches (observation, landmark), and the state that they are held against."""
+
+    def __init__(
+        self,
+        observations: Sequence[Observation],
+        matches: Sequence[tuple[int, int]],
+        pose_key: int,
+        landmarks: LandmarkMap,
+        backend: Backend,
+    ) -> None:
+        self._matches = [(observations[index], landmarks[landmark]) for index, landmark in matches]
+        keys = sorted({pose_key, *(key for _, one in self._matches for key in (one.key, one.anchor_key))})
+        self.joint, self.values = backend.joint_covariance(keys), backend.values_of(keys)
+        self._pose_key, self._backend = pose_key, backend
+
+    def at(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, list[int]]:
+        """Whitened Jacobian (K, D) and residual (K,) of all, and where the rows of each end, from 0 on."""
+        rows, residuals = [], []
+        for observation, landmark in self._matches:
+            [one] = hypotheses_of(observation, [landmark], self._pose_key, self.joint, values, self._backend)
+            rows.append(np.zeros((len(one.target), len(self.joint.full))))
+            rows[-1][:, one.columns] = one.jacobian
+            residuals.append(one.target)
+        return np.vstack(rows), np.concatenate(residuals), np.cumsum([0, *map(len, residuals)]).tolist()
 
 
 def _whitened(
