@@ -63,6 +63,11 @@ class State:
         candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
         return Innovation(candidate, hypothesis, residual, covariance)
 
+    def mean_of(self, columns: np.ndarray) -> FloatArray:
+        """Mean of the tangents of some columns (C,), shape (C,)."""
+        mean: FloatArray = self._mean[columns]
+        return mean
+
     def along(self, columns: np.ndarray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance of what a Jacobian (K, C) makes of the tangents of some columns (C,): (K,) and (K, K)."""
         covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T
@@ -110,15 +115,22 @@ def hypotheses_of(
     joint: KeyedCovariance,
     values: gtsam.Values,
     estimate: Estimate,
+    change: FloatArray | None = None,
 ) -> list[Hypothesis]:
-    """The observation's factor for each landmark of its shortlist, linearised at the estimate."""
+    """The observation's factor for each landmark of its shortlist, linearised at values.
+
+    With a `change` these have the pose elsewhere than the estimate does, by that tangent, shape (6,); None: nowhere.
+    """
     blank, hypotheses = -float(np.log(observation.volume)) if shortlist else 0.0, []
     for landmark in shortlist:
         linear = observation_factor(observation, pose_key, landmark, estimate).linearize(values)
         jacobian, target = linear.jacobian()
+        keys = list(linear.keys())
+        columns, distance = joint.columns(keys), joint.columns([landmark.key])[-1]
+        if change is not None and pose_key in keys:  # of a landmark that lives at the pose it is no variable
+            target = target + jacobian[:, np.isin(columns, joint.columns([pose_key]))] @ change
         telling = np.abs(jacobian).max(axis=1) > 0.0  # a native line factor has an empty row: two dof, not three
         candidate = Candidate(landmark.id, 0.0, int(telling.sum()), blank, landmark.n_keyframes > 1)
-        columns, distance = joint.columns(list(linear.keys())), joint.columns([landmark.key])[-1]
         by_distance = jacobian[telling][:, columns == distance][:, 0]
         hypotheses.append(Hypothesis(candidate, columns, jacobian[telling], target[telling], by_distance))
     return hypotheses

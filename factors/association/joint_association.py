@@ -150,7 +150,8 @@ def joint_compatibility(
     shuts out others, `JointCompatibility.best` weighs it against them.
 
     With a `hint`, a factor of the pose that is not in the graph, the decisions are made by a state that knows it; the
-    chi2 they are gated by and report is that of the state without it, for the hint is made of the same returns.
+    chi2 they are gated by and report is that of the state without it, for the hint is made of the same returns. Factors
+    are linearised where it leads: what is neglected from a badly known heading on is many sigmas of a long wall.
     Only the landmarks `among` are looked at when it is given, and only for the observations `trusted`.
     """
     world_T_body = estimate.pose(pose_key)
@@ -163,11 +164,14 @@ def joint_compatibility(
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
     gaps = Gaps(observations, landmarks, pose_key, estimate, joint, gates)
+    informed = partial(_informed, joint, hint, gtsam.Values(values))
+    honest, change = None, None
+    if hint is not None:
+        honest, change = partial(State, joint), informed().mean_of(joint.columns([pose_key]))
+        values.update(pose_key, values.atPose3(pose_key).retract(change))
     pairs = zip(observations, shortlists, strict=True)
-    hypotheses = [hypotheses_of(one, found, pose_key, joint, values, estimate) for one, found in pairs]
+    hypotheses = [hypotheses_of(one, found, pose_key, joint, values, estimate, change) for one, found in pairs]
     n_points = [observation.n_points for observation in observations]
-    honest = None if hint is None else partial(State, joint)
-    informed = partial(_informed, joint, hint, values)
     return JointCompatibility(hypotheses, chances, parallel, gaps.away, gaps.within, n_points, informed, honest, gates)
 
 

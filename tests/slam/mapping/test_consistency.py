@@ -63,8 +63,10 @@ def test_a_run_that_sees_nothing_says_so():
 
 def test_long_walls_agree_with_each_other_though_wheels_know_the_heading_badly():
     """A hundredth of a radian is a thousand sigmas of a wall of 20 m: by one linearisation the mean of these is 1.4."""
-    runs = [mapped_beginning("bare/level/undescribed", seed)[0] for seed in (211003, 211008)]
-    rows = [row for run in runs for row in run.slam.audit.history["line"]]
-    dof = sum(dof for _, _, dof in rows)
-    low, high = chi2_distribution.ppf((0.005, 0.995), dof) / dof
-    assert dof > 200 and low < sum(chi2 for _, chi2, _ in rows) / dof < high
+    runs = [mapped_beginning("bare/level/undescribed", seed)[0].slam for seed in (211003, 211008)]
+    audited = [(chi2, dof) for slam in runs for _, chi2, dof in slam.audit.history["line"]]
+    matches = [one.match for slam in runs for decided in slam.decisions for one in decided if one.match is not None]
+    for rows in (audited, [(match.chi2, match.dof) for match in matches]):
+        chi2, dof = np.sum(rows, axis=0)
+        low, high = chi2_distribution.ppf((0.005, 0.995), dof) / dof
+        assert dof > 200 and low < chi2 / dof < high
