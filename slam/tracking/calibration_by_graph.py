@@ -26,7 +26,7 @@ from spplanes._check import FloatArray
 #: The key of the unknown, in the linear graph alone.
 _KEY = gtsam.symbol("c", 0)
 #: Steps before it is first asked for, and by how many times more before it is asked for again.
-_FIRST, _GROWTH = 4, 1.25
+_FIRST, _GROWTH = 4, 1.1
 #: Rounds of relinearisation after the steps changed.
 _ROUNDS = 5
 
