@@ -86,7 +86,8 @@ class SharedUnknown:
 
     def known(self, covariance: FloatArray) -> SharedUnknown:
         """With a covariance (K, K)."""
-        return replace(self, _root=np.linalg.cholesky(covariance))
+        values, vectors = np.linalg.eigh(covariance)  # of a part of it nothing may be unknown
+        return replace(self, _root=vectors * np.sqrt(np.maximum(values, 0.0)))
 
     def effect_on(self, key: int) -> FloatArray:
         """What errors of variance 1 in each axis of its covariance's root do to a variable's tangent, shape (D, K)."""

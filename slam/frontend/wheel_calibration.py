@@ -47,7 +47,8 @@ class WheelCalibration:
             self.covariance = initial
         way = float(np.linalg.norm(motion.response[:2, 0]))
         self.covariance = self.covariance + initial * way / _MEMORY_M
-        self.covariance *= np.sqrt(np.outer(*(2 * [np.minimum(1.0, np.diag(initial) / np.diag(self.covariance))])))
+        most = np.diag(initial) / np.maximum(np.diag(self.covariance), np.finfo(float).tiny)
+        self.covariance *= np.sqrt(np.outer(*(2 * [np.minimum(1.0, most)])))
         return self.corrected(motion)
 
     def corrected(self, motion: Motion) -> Motion:

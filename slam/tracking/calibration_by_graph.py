@@ -108,13 +108,15 @@ def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tup
     """
     graph = backend.with_shared(_KEY, {step.factor_index: _with_calibration(step, backend) for step in steps})
     prior = unknown_at_first(steps[0].motion)
-    covariance = np.linalg.inv(graph.information + np.linalg.inv(prior))
+    covariance = prior @ np.linalg.inv(
+        np.eye(2) + graph.information @ prior
+    )  # a rig may state one error and not another
     mean = covariance @ graph.vector
     log_odds = 0.5 * float(graph.vector @ mean - np.linalg.slogdet(np.eye(2) + prior @ graph.information)[1])
     some = 1.0 if np.any(steps[0].motion.calibration_sigmas) else float(expit(log_odds))
     covariance = some * (0.5 * (covariance + covariance.T) + (1.0 - some) * np.outer(mean, mean))
     found = some * mean
-    found[0] /= 1.0 - found[0]  # a share of the way driven, to one of the way measured
+    found[0] += found[0] ** 2  # a share of the way driven, to one of the way measured: t / (1 - t)
     return FoundCalibration(found, covariance, 1.0 - some), graph
 
 

@@ -4,11 +4,14 @@ import gtsam
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives import Recipe, make_drive
 from slam.backend.estimator import pose_symbol
+from slam.config import SlamConfig
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration, unknown_at_first
 from slam.geometry.frames import inverse
 from slam.map.sparsification import Sparsifier, chained
+from slam.runs.slam_run import run_slam
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS, OdometryNoise
 from slam.tracking.calibration_by_graph import CalibrationByGraph, calibration_by_graph
@@ -175,6 +178,16 @@ def test_the_response_of_a_motion_in_space_and_of_motions_in_a_row() -> None:
             off, was = (planar_delta(inverse(one.a_T_b) @ erring) for one in (moved, motion))
             assert np.linalg.norm(off) < 0.12 * np.linalg.norm(was)
             np.testing.assert_array_equal(moved.covariance, motion.covariance)
+
+
+def test_a_rig_that_states_a_scale_and_no_curvature() -> None:
+    """Half of the unknown is known to be nothing: no NaN, nothing found of it, and covariances as of a scale alone."""
+    drive = make_drive(Recipe.parse("bare/level/undescribed"), 211004)
+    stated = drive.rig.odometry.model_copy(update={"scale_sigma": 0.04, "curvature_sigma_rad_per_m": 0.0})
+    run = run_slam(drive.log, drive.rig.model_copy(update={"odometry": stated}), SlamConfig(), repair=False)
+    assert run.slam.calibration.mean[1] == 0.0 and 0.03 < np.sqrt(run.slam.calibration.covariance[0, 0]) <= 0.04
+    last = run.slam.marginal_covariance(pose_symbol(len(run.slam.keyframes) - 1))
+    assert 0.5 < np.sqrt(np.linalg.eigvalsh(last[3:, 3:])[-1]) < 1.5  # 0.04 of 21 m
 
 
 def test_biased_wheels_are_found_out_on_a_drive() -> None:
