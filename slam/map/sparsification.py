@@ -275,10 +275,8 @@ def chained(first: Motion, second: Motion) -> Motion:
     carry[:2, 2] = -moved[1], moved[0]
     response, own = None, (first.covariance, second.covariance)
     if first.response is not None and second.response is not None:
-        response, own = (
-            carry @ first.response + turn @ second.response,
-            (random_covariance(first), random_covariance(second)),
-        )
+        response = carry @ first.response + turn @ second.response
+        own = random_covariance(first), random_covariance(second)
     if first.is_planar:
         covariance = carry @ own[0] @ carry.T + turn @ own[1] @ turn.T
         out = _out_of_plane(first, second)
