@@ -64,6 +64,8 @@ class CalibrationByGraph:
         self._sparsifier, self._backend = sparsifier, backend
         self._next = _FIRST
         self._used: FloatArray | None = None
+        #: By how much the answers have moved poses at most, all together, m.
+        self.moved_m = 0.0
         backend.share(self._unknown)
 
     def learn(self, calibration: WheelCalibration) -> bool:
@@ -83,9 +85,12 @@ class CalibrationByGraph:
         calibration.share(found.mean, found.covariance)
         self._used = found.mean
         factors = [_factor(step, calibration.corrected(step.motion)) for step in steps]
+        ends = [pose_symbol(step.keyframe) for step in steps]
+        before = self._backend.poses(ends)[:, :3, 3]
         indices = self._backend.exchange(factors, [step.factor_index for step in steps], ())
         self._sparsifier.relinked(steps, indices)
         self._backend.settle(_ROUNDS)
+        self.moved_m += float(np.linalg.norm(self._backend.poses(ends)[:, :3, 3] - before, axis=1).max())
         return True
 
     def _unknown(self) -> SharedUnknown | None:

@@ -117,7 +117,7 @@ class MotionModel:
         self.velocity_prior = VelocityPrior()
         #: What was expected of the last motion, and what the graph holds of it; None: of an assumption nothing.
         self._expected: tuple[MotionPrior, Motion | None] | None = None
-        self._by_graph = CalibrationByGraph(self._sparsifier, self._backend)
+        self.by_graph = CalibrationByGraph(self._sparsifier, self._backend)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
@@ -180,7 +180,7 @@ class MotionModel:
         Whether all steps so far are of other factors now, so that the map may have been bent.
         """
         motion = prediction.motion
-        if self._by_graph.learn(self.calibration):
+        if self.by_graph.learn(self.calibration):
             return True
         if motion is None or motion.response is None or not np.any(motion.calibration_sigmas):
             return False
