@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
-from slam.config import BOUND_SIGMAS, SlamConfig
+from slam.config import SlamConfig
 from slam.frontend.input_checks import check_keyframe
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.measurement import Segment
@@ -191,13 +191,11 @@ class PlaneSlam:
     @timed("learn wheels")
     def _calibrate(self, prediction: Prediction) -> None:
         """What the last motion, now that its end has been seen, says about the wheels."""
-        if self._motion_model.learn(prediction):
+        moved_m = self._motion_model.learn(prediction)
+        if moved_m is not None:
             self._same_plane.forget()
             self.landmarks.refresh(self.backend)
-            by_graph = self._motion_model.by_graph
-            if by_graph.moved_m > self.config.loops.tied_m / BOUND_SIGMAS:  # by less, outlines are where they were
-                by_graph.moved_m = 0.0
-                self.merges.redraw(0)
+            self.merges.bent(moved_m)
 
     @timed("update")
     def _match_late(self, update: MapUpdate) -> list[LateMatch]:

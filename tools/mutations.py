@@ -279,16 +279,16 @@ MUTATIONS = (
     Mutation(
         "audit: innovations by one linearisation",
         "slam/mapping/consistency.py",
-        "linear.values.update(pose_key, linear.values.atPose3(pose_key).retract(change))",
-        "change *= 0.0",
+        "jacobian, residual, ends = linear.at(change)",
+        "ends = linear.at()[2]",
         "tests/slam/mapping/test_consistency.py::"
         "test_long_walls_agree_with_each_other_though_wheels_know_the_heading_badly",
     ),
     Mutation(
         "association: linearised where wheels lead, not returns",
         "factors/association/joint_association.py",
-        "values.update(pose_key, values.atPose3(pose_key).retract(change))",
-        "change *= 0.0",
+        "joint, there, estimate, change) for one",
+        "joint, values, estimate) for one",
         "tests/slam/mapping/test_consistency.py::"
         "test_long_walls_agree_with_each_other_though_wheels_know_the_heading_badly",
     ),

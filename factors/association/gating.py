@@ -119,7 +119,7 @@ def hypotheses_of(
 ) -> list[Hypothesis]:
     """The observation's factor for each landmark of its shortlist, linearised at values.
 
-    With a `change` these have the pose elsewhere than the estimate does, by that tangent, shape (6,); None: nowhere.
+    With a `change` these have the pose `elsewhere` than the estimate does.
     """
     blank, hypotheses = -float(np.log(observation.volume)) if shortlist else 0.0, []
     for landmark in shortlist:
@@ -134,6 +134,15 @@ def hypotheses_of(
         by_distance = jacobian[telling][:, columns == distance][:, 0]
         hypotheses.append(Hypothesis(candidate, columns, jacobian[telling], target[telling], by_distance))
     return hypotheses
+
+
+def elsewhere(values: gtsam.Values, pose_key: int, change: FloatArray | None) -> gtsam.Values:
+    """Values with a pose elsewhere by a tangent, shape (6,); None: the same values."""
+    if change is None:
+        return values
+    moved = gtsam.Values(values)
+    moved.update(pose_key, values.atPose3(pose_key).retract(change))
+    return moved
 
 
 def innovations_of(hypotheses: Sequence[Hypothesis], state: State) -> list[Innovation]:

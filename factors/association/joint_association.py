@@ -10,7 +10,7 @@ import gtsam
 
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
 from factors.association.estimate import Estimate, KeyedCovariance, Landmark, Landmarks
-from factors.association.gating import Hypothesis, Innovation, State, hypotheses_of, innovations_of
+from factors.association.gating import Hypothesis, Innovation, State, elsewhere, hypotheses_of, innovations_of
 from factors.association.observations import Observation, PlaneObservation
 from factors.association.shortlist import Gaps, bounds_of, log_density, log_parallel_density, shortlist
 from factors.plane import get_ready
@@ -164,13 +164,12 @@ def joint_compatibility(
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
     gaps = Gaps(observations, landmarks, pose_key, estimate, joint, gates)
-    informed = partial(_informed, joint, hint, gtsam.Values(values))
+    informed = partial(_informed, joint, hint, values)
     honest, change = None, None
     if hint is not None:
         honest, change = partial(State, joint), informed().mean_of(joint.columns([pose_key]))
-        values.update(pose_key, values.atPose3(pose_key).retract(change))
-    pairs = zip(observations, shortlists, strict=True)
-    hypotheses = [hypotheses_of(one, found, pose_key, joint, values, estimate, change) for one, found in pairs]
+    there, pairs = elsewhere(values, pose_key, change), zip(observations, shortlists, strict=True)
+    hypotheses = [hypotheses_of(one, found, pose_key, joint, there, estimate, change) for one, found in pairs]
     n_points = [observation.n_points for observation in observations]
     return JointCompatibility(hypotheses, chances, parallel, gaps.away, gaps.within, n_points, informed, honest, gates)
 

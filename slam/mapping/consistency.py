@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import gtsam
 import numpy as np
 from scipy.special import gammaincinv
 
-from factors.association.gating import hypotheses_of
+from factors.association.gating import elsewhere, hypotheses_of
 from factors.association.observations import Observation
 from slam.backend.estimator import Backend
 from slam.lazy import Rows
@@ -53,11 +52,14 @@ class NisAudit:
         Where what was seen is what said where to look, there is nothing to hold; a measurement without a degree of
         freedom says nothing.
         """
-        if prediction.hints:
+        matches = [(one.observation, one.match.landmark) for one in decisions if one.match is not None]
+        if prediction.hints or not matches:
             return
+        if prediction.planes_asked:
+            matches.sort(key=lambda pair: (-seen[pair[0]].n_points, pair[0]))  # each has what it adds to firmer ones
+        linear = _Linearised(seen, matches, prediction.pose_key, landmarks, backend)
         ask = innovations_without_prediction if prediction.planes_asked else innovations
-        found = ask(seen, decisions, prediction.pose_key, landmarks, backend)
-        for number, chi2, dof in found:
+        for (number, _), (chi2, dof) in zip(matches, ask(linear), strict=True):
             if dof:
                 self.history.setdefault(seen[number].kind, Rows("idh")).append((prediction.index, chi2, dof))
                 self._sums = self._sums[0] + chi2, self._sums[1] + dof
@@ -112,67 +114,11 @@ class NisSummary:
         return cls(kind, len(history), total / dof, float(low), float(high))
 
 
-def innovations(
-    observations: Sequence[Observation],
-    decisions: Sequence[Decision],
-    pose_key: int,
-    landmarks: LandmarkMap,
-    backend: Backend,
-) -> list[tuple[int, float, int]]:
-    """(index of the observation, chi2, degrees of freedom) of every match, each beyond those before it.
-
-    A long wall tells a heading a thousand times better than wheels do: what is neglected of that innovation by a
-    linearisation before it is many sigmas of the next wall. So they are linearised again where the first update leads,
-    as in an iterated filter. To be asked before the keyframe's factors are in the graph.
-
-    References:
-        Bell, Cathey, "The iterated Kalman filter update as a Gauss-Newton method", IEEE Trans. Autom. Control 1993.
-    """
-    found = [(decision.observation, decision.match.landmark) for decision in decisions if decision.match is not None]
-    if not found:
-        return []
-    linear = _Linearised(observations, found, pose_key, landmarks, backend)
-    covariance, of_pose = linear.joint.full, linear.joint.columns([pose_key])
-    jacobian, residual, _ = linear.at(linear.values)
-    spread = covariance @ jacobian.T
-    change = spread[of_pose] @ np.linalg.solve(jacobian @ spread + np.eye(len(residual)), residual)
-    linear.values.update(pose_key, linear.values.atPose3(pose_key).retract(change))
-    jacobian, residual, ends = linear.at(linear.values)
-    root = np.linalg.cholesky(jacobian @ covariance @ jacobian.T + np.eye(len(residual)))
-    whitened = np.linalg.solve(root, residual + jacobian[:, of_pose] @ change)
-    parts = np.split(whitened, ends[1:-1])
-    return [(index, float(part @ part), len(part)) for (index, _), part in zip(found, parts, strict=True)]
-
-
-def innovations_without_prediction(
-    observations: Sequence[Observation],
-    decisions: Sequence[Decision],
-    pose_key: int,
-    landmarks: LandmarkMap,
-    backend: Backend,
-) -> list[tuple[int, float, int]]:
-    """(index of the observation, chi2, degrees of freedom) of every match, without what was known of the pose before.
-
-    Where no odometry is, the pose of a keyframe is found by its planes: a prediction made of them agrees with them, and
-    a wide one with anything. So the pose is taken as unknown. What the matches say beyond finding it has to agree
-    within the covariance of measurements and map, which is chi2 with six degrees of freedom less where they fix
-    everything. An observation has the share that it adds to those firmer than it. To be asked before the keyframe's
-    factors are in the graph.
-    """
-    found = [(decision.observation, decision.match.landmark) for decision in decisions if decision.match is not None]
-    found.sort(key=lambda pair: (-observations[pair[0]].n_points, pair[0]))
-    if not found:
-        return []
-    linear = _Linearised(observations, found, pose_key, landmarks, backend)
-    jacobian, residual, ends = linear.at(linear.values)
-    residual, by_pose = _whitened(jacobian, residual, linear.joint.full, linear.joint.columns([pose_key]))
-    left = [_left_over(residual[:end], by_pose[:end]) for end in ends]
-    shares = zip(found, left[1:], left[:-1], strict=True)
-    return [(index, max(chi2 - before, 0.0), dof - used) for (index, _), (chi2, dof), (before, used) in shares]
-
-
 class _Linearised:
-    """The factors of matches (observation, landmark), and the state that they are held against."""
+    """The factors of matches (observation, landmark) from a pose, and the state that they are held against.
+
+    To be asked before the factors of the pose's keyframe are in the graph.
+    """
 
     def __init__(
         self,
@@ -184,18 +130,58 @@ class _Linearised:
     ) -> None:
         self._matches = [(observations[index], landmarks[landmark]) for index, landmark in matches]
         keys = sorted({pose_key, *(key for _, one in self._matches for key in (one.key, one.anchor_key))})
-        self.joint, self.values = backend.joint_covariance(keys), backend.values_of(keys)
+        self._joint, self._values = backend.joint_covariance(keys), backend.values_of(keys)
         self._pose_key, self._backend = pose_key, backend
+        self.covariance, self.of_pose = self._joint.full, self._joint.columns([pose_key])
 
-    def at(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, list[int]]:
-        """Whitened Jacobian (K, D) and residual (K,) of all, and where the rows of each end, from 0 on."""
-        rows, residuals = [], []
+    def at(self, change: FloatArray | None = None) -> tuple[FloatArray, FloatArray, list[int]]:
+        """Where the pose is elsewhere than the estimate has it, by that tangent (6,); None: nowhere.
+
+        Returns:
+            Whitened Jacobian (K, D) and residual (K,) of all, and where the rows of each end, from 0 on.
+        """
+        rows, residuals, values = [], [], elsewhere(self._values, self._pose_key, change)
         for observation, landmark in self._matches:
-            [one] = hypotheses_of(observation, [landmark], self._pose_key, self.joint, values, self._backend)
-            rows.append(np.zeros((len(one.target), len(self.joint.full))))
+            [one] = hypotheses_of(observation, [landmark], self._pose_key, self._joint, values, self._backend, change)
+            rows.append(np.zeros((len(one.target), len(self.covariance))))
             rows[-1][:, one.columns] = one.jacobian
             residuals.append(one.target)
         return np.vstack(rows), np.concatenate(residuals), np.cumsum([0, *map(len, residuals)]).tolist()
+
+
+def innovations(linear: _Linearised) -> list[tuple[float, int]]:
+    """Chi2 and degrees of freedom of every match, each beyond those before it.
+
+    A long wall tells a heading a thousand times better than wheels do: what is neglected of that innovation by a
+    linearisation before it is many sigmas of the next wall. So they are linearised again where the first update leads,
+    as in an iterated filter.
+
+    References:
+        Bell, Cathey, "The iterated Kalman filter update as a Gauss-Newton method", IEEE Trans. Autom. Control 1993.
+    """
+    jacobian, residual, _ = linear.at()
+    spread = linear.covariance @ jacobian.T
+    change = spread[linear.of_pose] @ np.linalg.solve(jacobian @ spread + np.eye(len(residual)), residual)
+    jacobian, residual, ends = linear.at(change)
+    root = np.linalg.cholesky(jacobian @ linear.covariance @ jacobian.T + np.eye(len(residual)))
+    parts = np.split(np.linalg.solve(root, residual), ends[1:-1])
+    return [(float(part @ part), len(part)) for part in parts]
+
+
+def innovations_without_prediction(linear: _Linearised) -> list[tuple[float, int]]:
+    """Chi2 and degrees of freedom of every match, each beyond those before it, without what was known of the pose.
+
+    Where no odometry is, the pose of a keyframe is found by its planes: a prediction made of them agrees with them, and
+    a wide one with anything. So the pose is taken as unknown. What the matches say beyond finding it has to agree
+    within the covariance of measurements and map, which is chi2 with six degrees of freedom less where they fix
+    everything.
+    """
+    jacobian, residual, ends = linear.at()
+    residual, by_pose = _whitened(jacobian, residual, linear.covariance, linear.of_pose)
+    left = [_left_over(residual[:end], by_pose[:end]) for end in ends]
+    return [
+        (max(chi2 - before, 0.0), dof - used) for (chi2, dof), (before, used) in zip(left[1:], left[:-1], strict=True)
+    ]
 
 
 def _whitened(

@@ -15,6 +15,7 @@ from factors import plane_factor, plane_landmark
 from factors.association.estimate import observation_factor
 from factors.association.observations import Observation
 from slam.backend.estimator import BackendError, pose_symbol
+from slam.config import BOUND_SIGMAS
 from slam.geometry.frames import inverse
 from slam.map.landmarks import Landmark, Sighting
 from slam.map.state import EstimatorState
@@ -60,6 +61,7 @@ class Merges:
         self._keyframes, self._landmarks = state.keyframes, state.landmarks
         self._backend, self._config = state.backend, state.config
         self._apart: set[frozenset[int]] = set()
+        self._bent_m = 0.0
 
     def may_be_one(self, first: int, second: int) -> bool:
         """Whether two landmarks were never found to be two after all."""
@@ -157,6 +159,13 @@ class Merges:
         self._landmarks.refresh(self._backend)
         self._apart.add(frozenset((holder.id, back.id)))
         merge.undone = now
+
+    def bent(self, by_m: float) -> None:
+        """Poses of the whole way went by so much at most: once that adds up to more than passes for tied, draw anew."""
+        self._bent_m += by_m
+        if self._bent_m > self._config.loops.tied_m / BOUND_SIGMAS:
+            self._bent_m = 0.0
+            self.redraw(0)
 
     def redraw(self, since: int) -> None:
         """Draw anew what was seen of the landmarks that a keyframe from `since` on saw: the poses were wrong."""

@@ -53,55 +53,53 @@ class CalibrationByGraph:
     p(graph | c ~ S) / p(graph | c = 0) = |I + S L|^-1/2 exp(l^T (L + S^-1)^-1 l / 2).
     Once there are more likely some than none, all steps have their mean over both cases, and what is still open about
     them is in every covariance that is read (`SharedUnknown`); where nothing tells, the rig is believed. Where a rig
-    states them, each step is as wide as they make it, and they are learnt on the way (`WheelCalibration`).
+    states them, there are some; until the graph is asked first each step is as wide as they make it, and they are
+    learnt on the way (`WheelCalibration`).
+
+    G is by the way that the graph has (`response_as_moved`): what is solved for is t = s / (1 + s) of a scale s.
 
     References:
         Martinelli, Tomatis, Siegwart, "Simultaneous localization and odometry self calibration", Auton. Robots 2007,
         for the errors as part of the state.
     """
 
-    def __init__(self, sparsifier: Sparsifier, backend: Backend) -> None:
-        self._sparsifier, self._backend = sparsifier, backend
+    def __init__(self, sparsifier: Sparsifier, backend: Backend, calibration: WheelCalibration) -> None:
+        self._sparsifier, self._backend, self._calibration = sparsifier, backend, calibration
         self._next = _FIRST
-        self._used: FloatArray | None = None
-        #: By how much the answers have moved poses at most, all together, m.
-        self.moved_m = 0.0
         backend.share(self._unknown)
 
-    def learn(self, calibration: WheelCalibration) -> bool:
-        """Ask, if it is time; whether all steps so far are of other factors now."""
+    def learn(self) -> float | None:
+        """Ask, if it is time; by how much poses moved at most, m, for all steps have other factors; None: none has."""
         if self._sparsifier.n_measured < self._next:
-            return False
+            return None
         self._next = int(np.ceil(_GROWTH * self._sparsifier.n_measured))
         steps = self._sparsifier.measured_steps()
         if not steps:
-            return False
+            return None
         try:
             found, _ = calibration_by_graph(steps, self._backend)
         except BackendError:  # the graph cannot be asked now; nothing was changed
-            return False
-        if self._used is None and found.as_stated >= 0.5:
-            return False
-        calibration.share(found.mean, found.covariance)
-        self._used = found.mean
-        factors = [_factor(step, calibration.corrected(step.motion)) for step in steps]
+            return None
+        if not self._calibration.shared and found.as_stated >= 0.5:
+            return None
+        self._calibration.share(found.mean, found.covariance)
+        factors = [_factor(step, self._calibration.corrected(step.motion)) for step in steps]
         ends = [pose_symbol(step.keyframe) for step in steps]
         before = self._backend.poses(ends)[:, :3, 3]
         indices = self._backend.exchange(factors, [step.factor_index for step in steps], ())
         self._sparsifier.relinked(steps, indices)
         self._backend.settle(_ROUNDS)
-        self.moved_m += float(np.linalg.norm(self._backend.poses(ends)[:, :3, 3] - before, axis=1).max())
-        return True
+        return float(np.linalg.norm(self._backend.poses(ends)[:, :3, 3] - before, axis=1).max())
 
     def _unknown(self) -> SharedUnknown | None:
         """The errors of calibration, once they were found: by how much what all steps have may be wrong."""
-        if self._used is None:
+        if not self._calibration.shared:
             return None
         steps = self._sparsifier.measured_steps()
         if not steps:
             return None
         found, graph = calibration_by_graph(steps, self._backend)
-        since = found.mean - self._used  # what was seen since the steps were put in says otherwise by so much
+        since = found.mean - self._calibration.mean  # what was seen since the steps were put in says otherwise
         return graph.known(found.covariance + np.outer(since, since))
 
 

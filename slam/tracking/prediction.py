@@ -117,7 +117,7 @@ class MotionModel:
         self.velocity_prior = VelocityPrior()
         #: What was expected of the last motion, and what the graph holds of it; None: of an assumption nothing.
         self._expected: tuple[MotionPrior, Motion | None] | None = None
-        self.by_graph = CalibrationByGraph(self._sparsifier, self._backend)
+        self._by_graph = CalibrationByGraph(self._sparsifier, self._backend, self.calibration)
 
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
@@ -174,21 +174,19 @@ class MotionModel:
                 factors += Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR).factors(base, key)[:1]
         return factors
 
-    def learn(self, prediction: Prediction) -> bool:
+    def learn(self, prediction: Prediction) -> float | None:
         """What a motion, now that its end has been seen, says about the wheels, and every so often all of them.
 
-        Whether all steps so far are of other factors now, so that the map may have been bent.
+        By how much poses moved at most, m, where all steps so far have other factors now; None: none has.
         """
-        motion = prediction.motion
-        if self.by_graph.learn(self.calibration):
-            return True
-        if motion is None or motion.response is None or not np.any(motion.calibration_sigmas):
-            return False
+        motion, moved_m = prediction.motion, self._by_graph.learn()
+        if moved_m is not None or motion is None or motion.response is None or not np.any(motion.calibration_sigmas):
+            return moved_m
         keys = [pose_symbol(prediction.index - 1), prediction.pose_key]
         a_T_b = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
         covariance = motion_covariance(a_T_b, self._backend.joint_covariance(keys).of(keys))
         self.calibration.learn(motion, a_T_b, covariance)
-        return False
+        return None
 
     def _start(self, keyframe: Keyframe) -> _Step:
         """Where the first keyframe is, and its prior."""

@@ -37,7 +37,7 @@ def calibrated(made: Chain) -> Chain:
             both = zip(steps, factor_indices, strict=True)
             self.steps = [step._replace(factor_index=index) for step, index in both]
 
-    assert CalibrationByGraph(Steps(), made.backend).learn(WheelCalibration())
+    assert CalibrationByGraph(Steps(), made.backend, WheelCalibration()).learn() is not None
     return made
 
 
