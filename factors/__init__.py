@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from factors.plane import plane_factor as plane_factor
     from factors.plane import plane_factors as plane_factors
     from factors.plane import plane_prior as plane_prior
+    from factors.pose import constant_velocity_factor as constant_velocity_factor
     from factors.pose import gravity_factor as gravity_factor
     from factors.pose import odometry_factor as odometry_factor
     from factors.pose import odometry_factor_2d as odometry_factor_2d
@@ -81,6 +82,7 @@ _OF_MODULES = {
         "plane_prior",
     ),
     "pose": (
+        "constant_velocity_factor",
         "gravity_factor",
         "odometry_factor",
         "odometry_factor_2d",

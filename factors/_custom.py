@@ -1,4 +1,4 @@
-"""Callbacks of ``gtsam.CustomFactor`` around the compiled kernels.
+"""Callbacks of ``gtsam.CustomFactor`` around the compiled kernels, and of a velocity that is kept.
 
 GTSAM cannot say what is inside a custom factor. `describe` can: asked for an error without values, a callback hands
 over its recipe with the refusal; `factors.archive` writes and reads recipes.
@@ -6,8 +6,8 @@ over its recipe with the refusal; `factors.archive` writes and reads recipes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -75,6 +75,17 @@ class Recipe:
         columns = [columns for key, columns in roles if key is not None]
         return _reader(self.anchor_key, planar), _reader(self.pose_key, planar), [*columns, *landmarks]
 
+    def rekeyed(self, names: Mapping[int, int], homes: Mapping[int, tuple[int, int]]) -> Recipe:
+        """The same over other variables; see `factors.archive.rekeyed`. ValueError: it relates one with a new home."""
+        if len(self.landmark_keys) > 1 and homes.keys() & set(self.landmark_keys):
+            raise ValueError("factor: expected one of a single plane, got one that relates a plane with a new home")
+        keys = {role: getattr(self, role) for role in ("plane_key", "pose_key", "anchor_key", "reference_key")}
+        roles: dict[str, Any] = {role: names.get(key, key) for role, key in keys.items()}
+        roles["more_keys"] = tuple(names.get(key, key) for key in self.more_keys)
+        if self.plane_key in homes:
+            roles["plane_key"], roles["anchor_key"] = homes[self.plane_key]
+        return replace(self, **roles)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and strings, for JSON."""
         plain = dict(vars(self))
@@ -94,15 +105,76 @@ class Recipe:
         return Recipe(**fields)
 
 
-class _NoValue(RuntimeError):
-    """What GTSAM says where a landmark has no value, and the recipe of the factor that asked for it."""
+@dataclass(frozen=True, eq=False)
+class VelocityRecipe:
+    """All that makes a factor of a velocity that is kept; see `factors.constant_velocity_factor`."""
 
-    def __init__(self, complaint: RuntimeError, recipe: Recipe) -> None:
+    keys: tuple[int, int, int]
+    """Of the poses a, b, c."""
+    kept: FloatArray
+    """Shares of the motion from a to b that go on, GTSAM order, shape (6,)."""
+    root_information: FloatArray
+    """Upper triangular R of the noise, GTSAM order along the axes of c, shape (6, 6)."""
+    robust: Robust = None
+    """Kernel of the noise model."""
+
+    def factor(self) -> gtsam.CustomFactor:
+        """Make the factor, over its keys in their order."""
+        return gtsam.CustomFactor(gaussian(self.root_information, self.robust, 6), list(self.keys), self._error)
+
+    def expected(self, a_T_b: gtsam.Pose3) -> gtsam.Pose3:
+        """b_T_c after a motion from a to b."""
+        return gtsam.Pose3.Expmap(self.kept * gtsam.Pose3.Logmap(a_T_b))
+
+    def rekeyed(self, names: Mapping[int, int], homes: Mapping[int, tuple[int, int]]) -> VelocityRecipe:
+        """The same of other poses; see `factors.archive.rekeyed`."""
+        a, b, c = (names.get(key, key) for key in self.keys)
+        return replace(self, keys=(a, b, c))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, for JSON."""
+        return {
+            "keys": list(self.keys),
+            "kept": self.kept.tolist(),
+            "root_information": self.root_information.tolist(),
+            "robust": resolve_robust(self.robust, 6),
+        }
+
+    @staticmethod
+    def from_dict(plain: dict[str, Any]) -> VelocityRecipe:
+        """Inverse of `as_dict`."""
+        a, b, c = plain["keys"]
+        robust = None if plain["robust"] is None else tuple(plain["robust"])
+        return VelocityRecipe((a, b, c), np.array(plain["kept"]), np.array(plain["root_information"]), robust)
+
+    def _error(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
+        """Tangent from where c is expected to c, along the axes of c, and its derivatives by the poses."""
+        try:
+            a, b, c = (values.atPose3(key) for key in self.keys)
+        except RuntimeError as complaint:
+            raise _NoValue(complaint, self) from complaint
+        a_T_b, b_T_c = a.between(b), b.between(c)
+        off = self.expected(a_T_b).between(b_T_c)
+        if jacobians is not None:
+            by_off = gtsam.Pose3.LogmapDerivative(off)
+            moved = self.kept * gtsam.Pose3.Logmap(a_T_b)
+            by_motion = gtsam.Pose3.ExpmapDerivative(moved) @ (self.kept[:, None] * gtsam.Pose3.LogmapDerivative(a_T_b))
+            by_first = -by_off @ off.inverse().AdjointMap() @ by_motion
+            jacobians[0] = -by_first @ a_T_b.inverse().AdjointMap()
+            jacobians[1] = by_first - by_off @ b_T_c.inverse().AdjointMap()
+            jacobians[2] = by_off
+        return np.asarray(gtsam.Pose3.Logmap(off), dtype=np.float64)
+
+
+class _NoValue(RuntimeError):
+    """What GTSAM says where a variable has no value, and the recipe of the factor that asked for it."""
+
+    def __init__(self, complaint: RuntimeError, recipe: Recipe | VelocityRecipe) -> None:
         super().__init__(*complaint.args)
         self.recipe = recipe
 
 
-def describe(factor: gtsam.CustomFactor) -> Recipe | None:
+def describe(factor: gtsam.CustomFactor) -> Recipe | VelocityRecipe | None:
     """Recipe of a custom factor made here; None for anybody else's."""
     try:
         factor.unwhitenedError(gtsam.Values())

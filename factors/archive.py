@@ -15,7 +15,6 @@ from __future__ import annotations
 import copyreg
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -23,7 +22,7 @@ import gtsam_unstable
 import numpy as np
 
 from factors._check import told_key
-from factors._custom import Recipe, describe
+from factors._custom import Recipe, VelocityRecipe, describe
 from spplanes._check import check_instance
 
 _FORMAT = "spplanes-graph/1"
@@ -93,14 +92,12 @@ def rekeyed(factor: Any, names: Mapping[int, int], homes: Mapping[int, tuple[int
     homes = homes or {}
     if isinstance(factor, gtsam.CustomFactor):
         recipe = describe(factor)
-        if recipe is None or (len(recipe.landmark_keys) > 1 and homes.keys() & set(recipe.landmark_keys)):
-            raise ArchiveError("factor: expected one of a single plane, made here, got another CustomFactor")
-        keys = {role: getattr(recipe, role) for role in ("plane_key", "pose_key", "anchor_key", "reference_key")}
-        roles: dict[str, Any] = {role: names.get(key, key) for role, key in keys.items()}
-        roles["more_keys"] = tuple(names.get(key, key) for key in recipe.more_keys)
-        if recipe.plane_key in homes:
-            roles["plane_key"], roles["anchor_key"] = homes[recipe.plane_key]
-        return replace(recipe, **roles).factor()
+        if recipe is None:
+            raise ArchiveError("factor: expected one made here, got another CustomFactor")
+        try:
+            return recipe.rekeyed(names, homes).factor()
+        except ValueError as error:
+            raise ArchiveError(str(error)) from error
     keys = list(factor.keys())
     named = [names.get(key, key) for key in keys]
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
@@ -129,7 +126,7 @@ def _written(factor: gtsam.NonlinearFactor, index: int) -> dict[str, Any]:
         recipe = describe(factor)
         if recipe is None:
             raise ArchiveError(f"factor {index}: expected a factor that can be archived, got a foreign CustomFactor")
-        return {"custom": recipe.as_dict()}
+        return {"velocity" if isinstance(recipe, VelocityRecipe) else "custom": recipe.as_dict()}
     try:
         return {"gtsam": _alone(factor)}
     except RuntimeError as error:
@@ -142,6 +139,8 @@ def _read(written: dict[str, Any], keys: Sequence[int] | None = None) -> gtsam.N
     kind, content = next(iter(written.items()))
     if kind == "custom":
         return Recipe.from_dict(content).factor()
+    if kind == "velocity":
+        return VelocityRecipe.from_dict(content).factor()
     if kind == "gtsam":
         return _from_alone(content)
     noise = _from_alone(content["noise"]).noiseModel()

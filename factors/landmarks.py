@@ -13,7 +13,7 @@ from shapely.affinity import scale
 
 from factors._check import as_keys, plane_in, pose_in, told_key
 from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
-from factors._custom import IDENTITY, describe
+from factors._custom import IDENTITY, Recipe, describe
 from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
@@ -97,7 +97,9 @@ def _anchorings(factor: Any) -> list[tuple[int, int | None]]:
     if isinstance(factor, gtsam.OrientedPlane3Factor | gtsam.OrientedPlane3DirectionPrior):
         return [(keys[-1], None)]
     recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
-    if recipe is None or (recipe.kernel in ("plane", "map") and recipe.pose_key is recipe.anchor_key is None):
+    if not isinstance(recipe, Recipe):
+        return []
+    if recipe.kernel in ("plane", "map") and recipe.pose_key is recipe.anchor_key is None:
         return []
     own = [(recipe.plane_key, recipe.anchor_key)]
     return own if recipe.reference_key is None else [*own, (recipe.reference_key, recipe.pose_key)]

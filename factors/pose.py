@@ -8,8 +8,9 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_definite_covariance, as_key, check_distinct
+from factors._check import as_definite_covariance, as_key, as_keys, check_distinct
 from factors._conventions import SP_TO_POSE3
+from factors._custom import VelocityRecipe
 from factors.robust import Robust, with_robust
 from spplanes._check import FloatArray, as_number, as_positive, as_shape, as_transform
 
@@ -43,6 +44,40 @@ def relative_pose_factor(
     check_distinct(key_a=key_a, key_b=key_b)
     motion = gtsam.Pose3(as_transform("a_T_b", a_T_b))
     return gtsam.BetweenFactorPose3(as_key("key_a", key_a), as_key("key_b", key_b), motion, _noise(covariance, robust))
+
+
+def constant_velocity_factor(
+    keys: Sequence[int], covariance: ArrayLike, *, kept: ArrayLike = 1.0, robust: Robust = None
+) -> gtsam.CustomFactor:
+    """A body keeps its velocity: of three Pose3 a, b, c in order of time, b to c is the motion from a to b once more.
+
+    A motion copied from the one before into a `relative_pose_factor` errs as that one does, and the next by both; n
+    such factors, taken for independent, claim far less than the n^1.5 by which a body drifts whose velocity nobody
+    sees. Here the velocity is the poses' own: what is seen later tells it as well.
+
+    Args:
+        keys: of a, b and c.
+        covariance: of the change of the motion, (6, 6) as in `pose_prior`, along the axes of c.
+        kept: how much of the motion goes on: the seconds from b to c over those from a to b; (6,) in the SP order where
+            it differs by axis. A velocity of variance s^2 that is not to grow without bound keeps sqrt(1 - q / s^2)
+            of itself where it changes by a variance q.
+        robust: as in `factors.robust`.
+
+    References:
+        Barfoot, Tong, Sarkka, "Batch continuous-time trajectory estimation as exactly sparse Gaussian process
+        regression", RSS 2014, for white noise on acceleration.
+        Singer, "Estimating optimal tracking filter performance for manned maneuvering targets", 1970, for less than all
+        of the velocity.
+
+    ValueError: not three distinct keys, a singular covariance, shares that are no finite numbers.
+    """
+    numbers = as_keys("keys", keys)
+    if len(numbers) != 3:
+        raise ValueError(f"keys: expected three, got {len(numbers)}")
+    full = as_definite_covariance("covariance", covariance, 6)[SP_TO_POSE3[:, None], SP_TO_POSE3]
+    shares = as_shape("kept", np.broadcast_to(kept, (6,)) if np.ndim(kept) == 0 else kept, (6,))[SP_TO_POSE3]
+    root = np.asarray(np.linalg.cholesky(np.linalg.inv(full)).T, dtype=np.float64)
+    return VelocityRecipe((numbers[0], numbers[1], numbers[2]), shares, root, robust).factor()
 
 
 def gravity_factor(

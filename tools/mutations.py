@@ -630,6 +630,27 @@ MUTATIONS = (
         "    return True\n",
         "tests/slam/tracking/test_standing_wheels.py -k hang",
     ),
+    Mutation(
+        "velocity: the pose before errs to the wrong side",
+        "factors/_custom.py",
+        "jacobians[0] = -by_first @",
+        "jacobians[0] = by_first @",
+        "tests/factors/test_velocity.py",
+    ),
+    Mutation(
+        "tracking: a motion that nobody measured changes as much as its velocity is unknown",
+        "slam/tracking/prediction.py",
+        "change = np.diag(motion.covariance) - prior.before",
+        "change = np.diag(motion.covariance)",
+        "tests/slam/tracking/test_constant_velocity.py",
+    ),
+    Mutation(
+        "tracking: motions that nobody measured err each by itself",
+        "slam/tracking/prediction.py",
+        "if assumed is not None and before_s > 0.0:",
+        "if assumed is not None and before_s > np.inf:",
+        "tests/slam/tracking/test_constant_velocity.py",
+    ),
 )
 
 

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from scipy.special import chdtri
 
-from factors import pose_prior
+from factors import constant_velocity_factor, pose_prior
 from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import motion_covariance, relative_covariance
 from slam.config import BOUND_SIGMAS, CoastingConfig
@@ -218,6 +218,9 @@ class MotionModel:
             motion = assumed.learnt() if place is None else place.expected
         self._expected = None if prior is None else (prior, None if assumed is None else motion)
         step, *floor = motion.factors(before, key)
+        before_s, ahead_s = self._seconds(keyframe.stamp_ns)
+        if assumed is not None and before_s > 0.0:
+            step = self._goes_on(motion, assumed, before_s, ahead_s)
         measured = self._measured(keyframe, motion) if place is None or not asked else None
         if place is None:
             there = world_T_before @ motion.a_T_b
@@ -229,6 +232,23 @@ class MotionModel:
             world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=True, measured=measured
         )
 
+    def _goes_on(self, motion: Motion, prior: MotionPrior, before_s: float, ahead_s: float) -> gtsam.CustomFactor:
+        """A motion that nobody measured, as a factor of the one before it as well: they err alike.
+
+        However long nobody sees it, its velocity stays within what is likely of a body of which nothing is known.
+        """
+        change = np.diag(motion.covariance) - prior.before
+        any_speed = np.repeat(self._config.coasting.unknown_motion(ahead_s), 3) ** 2
+        kept = ahead_s / before_s * np.sqrt(np.clip(1.0 - change / any_speed, 0.0, 1.0))
+        index = len(self._keyframes)
+        self._sparsifier.stays(index - 2)
+        return constant_velocity_factor([pose_symbol(index - k) for k in (2, 1, 0)], np.diag(change), kept=kept)
+
+    def _seconds(self, stamp_ns: int) -> tuple[float, float]:
+        """How long the last motion took, 0 where there was none, and the one from there on takes, s."""
+        stamps = [frame.stamp_ns for frame in self._keyframes[-2:]]
+        return (stamps[-1] - stamps[0]) * 1e-9, (stamp_ns - stamps[-1]) * 1e-9
+
     def _motion_to(self, keyframe: Keyframe) -> tuple[Motion, MotionPrior | None, FoundPlace | None]:
         """Odometry, less what is known to be wrong with it; without any the motion before goes on.
 
@@ -238,11 +258,11 @@ class MotionModel:
             The motion; what would be expected of it had nobody measured it, None: there was no motion before; and the
             place where the scan was laid, None: it has nothing to add to the motion, or speaks against it.
         """
-        last, stamps = len(self._keyframes) - 1, [frame.stamp_ns * 1e-9 for frame in self._keyframes[-2:]]
-        ahead_s, rules = keyframe.stamp_ns * 1e-9 - stamps[-1], self._config.coasting
+        last, rules = len(self._keyframes) - 1, self._config.coasting
+        before_s, ahead_s = self._seconds(keyframe.stamp_ns)
         guess, prior = coast(None, 0.0, ahead_s, rules), None
         if last > 0:
-            prior = self._unmeasured(keyframe, last, stamps[1] - stamps[0], ahead_s)
+            prior = self._unmeasured(keyframe, last, before_s, ahead_s)
         unmeasured = guess if prior is None else prior.motion
         if keyframe.motion is None:
             return unmeasured, prior, None

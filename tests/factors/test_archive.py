@@ -13,7 +13,7 @@ from factors._custom import describe
 from factors.archive import ArchiveError, dumps, loads, rekeyed
 from tests.factors.factor_scenes import random_line, random_plane, random_pose
 
-X0, X1, P0 = (gtsam.symbol(c, i) for c, i in (("x", 0), ("x", 1), ("p", 0)))
+X0, X1, X2, P0 = (gtsam.symbol(c, i) for c, i in (("x", 0), ("x", 1), ("x", 2), ("p", 0)))
 L0, L1, L2 = (gtsam.symbol("l", i) for i in range(3))
 
 
@@ -38,6 +38,7 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
             factors.planar_motion_factor(X0, robust=robust),
             factors.pose_prior(X0, mount, np.eye(6), robust=robust),
             factors.relative_pose_factor(X0, X1, mount, np.eye(6), robust=robust),
+            factors.constant_velocity_factor((X0, X2, X1), np.eye(6), kept=[1, 1, 1, 0.5, 0.6, 0.7], robust=robust),
             factors.direction_prior(L0, (0.1, 0.2, 1.0), 0.01, robust=robust),
             factors.direction_prior(L0, (0.0, 0.0, 1.0), 0.01, anchor_key=X0, robust=robust),
             factors.upright_prior(L0, 0.01, anchor_key=X0, robust=robust),
@@ -48,7 +49,7 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         ):
             graph.push_back(factor)
     values = gtsam.Values()
-    for key in (X0, X1):
+    for key in (X0, X1, X2):
         values.insert(key, random_pose(rng))
     for i in range(2):
         values.insert(P0 + i, gtsam.Pose2(*rng.normal(size=3)))

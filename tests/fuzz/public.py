@@ -177,6 +177,9 @@ CALLS: dict[str, Call] = {
     "factors.landmark_to_plane": lambda n: factors.landmark_to_plane(n.landmark(), n.array(3, 3), centre=n.array(3)),
     "factors.line_factor_2d": lambda n: factors.line_factor_2d(n.line(), n.array(4, 4), 4, 2),
     "factors.map_prior": lambda n: factors.map_prior([n.plane(), n.plane()], [2, 3], n.array(6, 6)),
+    "factors.constant_velocity_factor": lambda n: factors.constant_velocity_factor(
+        [0, 1, 6], n.array(6, 6), kept=n.array(6)
+    ),
     "factors.gravity_factor": lambda n: factors.gravity_factor(0, n.array(3), n.number()),
     "factors.odometry_factor_2d": lambda n: factors.odometry_factor_2d(4, 5, n.array(3), n.array(3, 3)),
     "factors.parallel_factor": lambda n: factors.parallel_factor(2, 3, n.number()),
@@ -266,6 +269,7 @@ def _values() -> gtsam.Values:
         values.insert(key, gtsam.Pose3())
         values.insert(key + 2, gtsam.OrientedPlane3(0.0, 0.6, 0.8, 1.0 + key))
         values.insert(key + 4, gtsam.Pose2())
+    values.insert(6, gtsam.Pose3())
     return values
 
 

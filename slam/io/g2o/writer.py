@@ -13,7 +13,7 @@ import gtsam_unstable
 import numpy as np
 
 from factors import landmark_anchors
-from factors._custom import describe
+from factors._custom import Recipe, VelocityRecipe, describe
 from slam.io.g2o._tangents import (
     LEVEL,
     UPRIGHT,
@@ -154,6 +154,9 @@ class _Writer:
         sighting = _sighting_of(factor)
         if sighting is not None and sighting.plane_key in self.planes:
             return [self._plane_edge(factor, sighting)]
+        recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
+        if isinstance(recipe, VelocityRecipe):
+            return [self._between(self._goes_on(recipe))]
         keys = list(factor.keys())
         if len(keys) == 1 and keys[0] in self.poses:
             return [self._prior(keys[0], factor)]
@@ -164,6 +167,12 @@ class _Writer:
         a, b = (self.poses[key] for key in factor.keys())  # noqa: SIM118 - not a mapping
         root = _gaussian_of(factor).R() @ _TANGENT_BY_G2O
         return f"EDGE_SE3:QUAT {a} {b} {_pose(factor.measured())} {_upper(root.T @ root)}"
+
+    def _goes_on(self, recipe: VelocityRecipe) -> gtsam.BetweenFactorPose3:
+        """A velocity that is kept as the motion that the values say: g2o has no edge of three poses."""
+        a, b = (self.values.atPose3(key) for key in recipe.keys[:2])
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(recipe.root_information, False)
+        return gtsam.BetweenFactorPose3(*recipe.keys[1:], recipe.expected(a.between(b)), noise)
 
     def _prior(self, key: int, factor: Any) -> str:
         """What it measured is where its error vanishes, found by Newton steps of least norm."""
@@ -239,7 +248,7 @@ def _sighting_of(factor: Any) -> _Sighting | None:
     """What a factor sees; None where it is no sighting of one plane."""
     if isinstance(factor, gtsam.CustomFactor):
         recipe = describe(factor)
-        if recipe is None or recipe.reference_key is not None or recipe.planar:
+        if not isinstance(recipe, Recipe) or recipe.reference_key is not None or recipe.planar:
             return None
         in_world = recipe.pose_key is None and recipe.anchor_key is not None
         return _Sighting(recipe.plane_key, recipe.pose_key, in_world)

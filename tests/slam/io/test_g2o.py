@@ -282,6 +282,22 @@ def test_what_g2o_has_no_word_for_is_counted_and_said(tmp_path: Path):
     read_g2o(tmp_path / "graph.g2o")
 
 
+def test_a_velocity_that_is_kept_is_written_as_the_motion_that_it_leads_to(tmp_path: Path):
+    """Of the last two of its three poses: g2o has no edge of three."""
+    graph, values = plane_graph()
+    covariance = np.diag([1, 4, 9, 16, 25, 36]) * 1e-4
+    graph.push_back(factors.constant_velocity_factor(X[:3], covariance, kept=0.5))
+    content = write_g2o(tmp_path / "graph.g2o", graph, values)
+    assert content.left_out == {}
+    back = read_g2o(tmp_path / "graph.g2o").graph
+    moved = values.atPose3(X[0]).between(values.atPose3(X[1]))
+    there = gtsam.Pose3.Expmap(0.5 * gtsam.Pose3.Logmap(moved))
+    written = back.at(back.size() - 1)
+    assert there.equals(written.measured(), 1e-9)
+    whole = factors.relative_pose_factor(*X[1:3], there, covariance)
+    np.testing.assert_allclose(written.noiseModel().information(), whole.noiseModel().information(), rtol=1e-9)
+
+
 def test_two_anchors_for_one_landmark_and_missing_values_are_refused(tmp_path: Path):
     graph, values = plane_graph()
     again = seen_plane(WALLS[0], POSES[1], np.random.default_rng(0))
