@@ -11,8 +11,9 @@ import gtsam
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from factors import odometry_factor, planar_motion_factor, relative_pose_factor
+from factors import planar_motion_factor, relative_pose_factor
 from factors._conventions import POSE3_TO_SP
+from factors.pose import checked_odometry_factor
 from slam.geometry.frames import inverse
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
@@ -92,17 +93,21 @@ class Motion:
 
     def factors(self, key_a: int, key_b: int) -> list[gtsam.NonlinearFactor]:
         """The motion as factors between two Pose3 keys; on a floor b is also held to the floor."""
+        return [self.factor(key_a, key_b), *self.floor_factors(key_b)]
+
+    def factor(self, key_a: int, key_b: int) -> gtsam.BetweenFactorPose3:
+        """The motion alone as a factor between two Pose3 keys."""
         if not self.is_planar:
-            return [relative_pose_factor(key_a, key_b, self.a_T_b, self.covariance)]
-        step = odometry_factor(
-            key_a,
-            key_b,
-            planar_delta(self.a_T_b),
-            self.covariance,
-            out_of_plane_sigmas=self.out_of_plane_sigmas,
-        )
+            return relative_pose_factor(key_a, key_b, self.a_T_b, self.covariance)
+        delta = planar_delta(self.a_T_b)
+        return checked_odometry_factor(key_a, key_b, delta, self.covariance, self.out_of_plane_sigmas)
+
+    def floor_factors(self, key_b: int) -> list[gtsam.NonlinearFactor]:
+        """What holds its end to the floor; of a motion that is not planar nothing does."""
+        if not self.is_planar:
+            return []
         floor = planar_motion_factor(key_b, sigmas=self.out_of_plane_sigmas)
-        return [step, *(floor.at(i) for i in range(floor.size()))]
+        return [floor.at(i) for i in range(floor.size())]
 
 
 class OdometryTrack:

@@ -117,7 +117,7 @@ class LoopCloser:
         for end in (end for loop in closure.loops for end in (loop.old_keyframe, loop.keyframe)):
             self._sparsifier.stays(end)  # both ends are needed in the graph
         factors = [
-            None if one.motion is None else one.motion.factors(*map(pose_symbol, (one.old_keyframe, one.keyframe)))[0]
+            None if one.motion is None else one.motion.factor(*map(pose_symbol, (one.old_keyframe, one.keyframe)))
             for one in closure.loops
         ]
         told = [one for one in factors if one is not None]

@@ -39,7 +39,7 @@ def associate(
     Returns:
         One decision for each observation, in their order.
     """
-    known = None if hint is None else hint.motion.factors(hint.key, pose_key)[0]
+    known = None if hint is None else hint.motion.factor(hint.key, pose_key)
     problem = joint_compatibility(
         observations, pose_key, landmarks, backend, gates, known, among=among, trusted=trusted
     )

@@ -150,7 +150,7 @@ class MapUpdater:
         if motion is None or prediction.place is not None:
             return []
         beyond = information_beyond_lines(motion, matched)
-        return [] if beyond is None else beyond.factors(pose_symbol(prediction.index - 1), prediction.pose_key)[:1]
+        return [] if beyond is None else [beyond.factor(pose_symbol(prediction.index - 1), prediction.pose_key)]
 
     def match_late(self, update: MapUpdate) -> list[LateMatch]:
         """Match what earlier keyframes saw of the landmarks that this one started."""

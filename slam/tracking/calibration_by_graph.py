@@ -122,7 +122,7 @@ def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tup
 
 
 def _factor(step: MeasuredStep, motion: Motion) -> gtsam.NonlinearFactor:
-    return motion.factors(pose_symbol(step.before), pose_symbol(step.keyframe))[0]
+    return motion.factor(pose_symbol(step.before), pose_symbol(step.keyframe))
 
 
 def _with_calibration(step: MeasuredStep, backend: Backend) -> gtsam.GaussianFactor:

@@ -125,7 +125,7 @@ class MotionModel:
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
-        beyond = [] if step.beyond is None else step.beyond.factors(pose_symbol(index - 1), key)[:1]
+        beyond = [] if step.beyond is None else [step.beyond.factor(pose_symbol(index - 1), key)]
         hints = self._hints(keyframe, step.world_T_body, key)
         own_factors = [
             *step.factors,
@@ -135,7 +135,7 @@ class MotionModel:
         ]
         removal = self._sparsifier.plan_removal(index)
         through = [
-            self.calibration.corrected(motion).factors(pose_symbol(first), pose_symbol(last))[0]
+            self.calibration.corrected(motion).factor(pose_symbol(first), pose_symbol(last))
             for first, last, motion in removal.motions  # as measured, through keyframes that have left
         ]
         indices = self._backend.update([*own_factors, *through], initial, remove=removal.stale)
@@ -171,7 +171,7 @@ class MotionModel:
             expected = planar_delta(inverse(self._backend.pose(base)) @ world_T_body)
             is_off = pose.misfit(expected) > chdtri(3, rules.significance)
             if is_off and np.any(np.abs(difference(expected, pose.delta)) > tied):
-                factors += Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR).factors(base, key)[:1]
+                factors.append(Motion(planar_transform(*pose.delta), pose.covariance, NO_FLOOR).factor(base, key))
         return factors
 
     def learn(self, prediction: Prediction) -> float | None:
@@ -217,17 +217,20 @@ class MotionModel:
         if assumed is not None:
             motion = assumed.learnt() if place is None else place.expected
         self._expected = None if prior is None else (prior, None if assumed is None else motion)
-        step, *floor = motion.factors(before, key)
         before_s, ahead_s = self._seconds(keyframe.stamp_ns)
         if assumed is not None and before_s > 0.0:
             step = self._goes_on(motion, assumed, before_s, ahead_s)
+        else:
+            step = motion.factor(before, key)
+        floor = motion.floor_factors(key)
         measured = self._measured(keyframe, motion) if place is None or not asked else None
         if place is None:
             there = world_T_before @ motion.a_T_b
             return _Step(there, [step, *floor], motion, beyond=beyond, planes_asked=asked, measured=measured)
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
-        pending, factors = [step, *place.factors(before, key, kernel)], [*there.factors(before, key), *floor]
+        pending = [step, *place.factors(before, key, kernel)]
+        factors = [there.factor(before, key), *there.floor_factors(key), *floor]
         return _Step(
             world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=True, measured=measured
         )
