@@ -651,6 +651,13 @@ MUTATIONS = (
         "if assumed is not None and before_s > np.inf:",
         "tests/slam/tracking/test_constant_velocity.py",
     ),
+    Mutation(
+        "tracking: a body that nobody saw for a while is where it was led",
+        "slam/registration/motion_prior.py",
+        "return self.before + self.adrift + (",
+        "return self.before + (",
+        "tests/slam/registration/test_motion_prior.py",
+    ),
 )
 
 

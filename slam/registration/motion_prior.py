@@ -27,6 +27,9 @@ class MotionPrior(NamedTuple):
     """Variances of such a change, shape (6,); the rest of that covariance is of the velocity."""
     usual: Usual
     """How this body changes it."""
+    adrift: FloatArray
+    """Variances of where it starts in what its end is seen in, shape (6,): where nobody saw the body for a while it is
+    off by more than its last motion."""
 
     def log_density(self, off: FloatArray, place: FloatArray | None = None) -> FloatArray:
         """Of a deviation (6,), seen with a covariance (6, 6), along each axis, up to the normal's constant, (6,)."""
@@ -56,7 +59,7 @@ class MotionPrior(NamedTuple):
 
     def _known(self, place: FloatArray | None) -> FloatArray:
         """Variances of what else makes a step differ, shape (6,)."""
-        return self.before if place is None else self.before + np.diag(place)
+        return self.before + self.adrift + (0.0 if place is None else np.diag(place))
 
 
 class VelocityPrior:
@@ -65,9 +68,9 @@ class VelocityPrior:
     def __init__(self) -> None:
         self._steadiness = Steadiness(6)
 
-    def prior(self, motion: Motion, change: FloatArray) -> MotionPrior:
-        """Of the next motion, by constant velocity; `change`: variances as of `MotionPrior`, shape (6,)."""
-        return MotionPrior(motion, change, self._steadiness.usual())
+    def prior(self, motion: Motion, change: FloatArray, adrift: FloatArray) -> MotionPrior:
+        """Of the next motion, by constant velocity; `change` and `adrift` as of `MotionPrior`, shape (6,) each."""
+        return MotionPrior(motion, change, self._steadiness.usual(), adrift)
 
     def learn(
         self, prior: MotionPrior, off: FloatArray, used: Motion | None = None, known: FloatArray | None = None

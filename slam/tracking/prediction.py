@@ -22,6 +22,7 @@ from slam.map.sparsification import Link
 from slam.map.state import EstimatorState
 from slam.registration.motion_prior import MotionPrior, VelocityPrior
 from slam.registration.relocalization import (
+    RECENT,
     FoundPlace,
     Rivals,
     displacement,
@@ -279,7 +280,7 @@ class MotionModel:
             state,
             significance=record.significance,
             doubted=record.doubted,
-            prior=prior or self.velocity_prior.prior(guess, np.diag(guess.covariance)),
+            prior=prior or self.velocity_prior.prior(guess, np.diag(guess.covariance), np.zeros(6)),
         )
         if said.off is not None and said.known is not None:
             self.odometry_scale.learn(stated, said.off, said.known, guess)
@@ -294,16 +295,19 @@ class MotionModel:
 
     def _unmeasured(self, keyframe: Keyframe, last: int, before_s: float, ahead_s: float) -> MotionPrior:
         """What is expected of the motion to a keyframe, after one of so many seconds, had nobody measured it."""
-        keys, known, rules = [pose_symbol(last - 1), pose_symbol(last)], None, self._config.coasting
-        step = inverse(self._backend.pose(keys[0])) @ self._backend.pose(keys[1])
+        known, adrift, rules = None, np.zeros(6), self._config.coasting
+        first, before, end = (pose_symbol(frame) for frame in (self._sparsifier.held[-RECENT:][0], last - 1, last))
+        way, step = (inverse(self._backend.pose(start)) @ self._backend.pose(end) for start in (first, before))
         self.odometry_record.settle(step)
         if keyframe.motion is None:
-            known = relative_covariance(step, self._backend.joint_covariance(keys).of(keys))
+            joint = self._backend.joint_covariance(sorted({first, before, end}))
+            known = relative_covariance(step, joint.of([before, end]))
+            adrift = np.diag(relative_covariance(way, joint.of([first, end])))
         if self._expected is not None:
             prior, used = self._expected
             self.velocity_prior.learn(prior, displacement(prior.motion.a_T_b, step), used, known)
         change = np.diag(coast(step, before_s, ahead_s, rules).covariance)
-        return self.velocity_prior.prior(coast(step, before_s, ahead_s, rules, known), change)
+        return self.velocity_prior.prior(coast(step, before_s, ahead_s, rules, known), change, adrift)
 
     def _measured(self, keyframe: Keyframe, used: Motion) -> Motion | None:
         """The motion that came with a keyframe as the graph has it, errors of calibration still in it; see `_Step`."""

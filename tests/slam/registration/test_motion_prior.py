@@ -15,6 +15,8 @@ from slam.registration.surface_registration import WEAK_PRIOR, Expected
 CHANGE = np.repeat([0.5, 0.35], 3) ** 2
 #: Of the velocity before.
 BEFORE = np.diag(np.repeat([0.02, 0.01], 3) ** 2)
+#: It starts where it is known to.
+SURE = np.zeros(6)
 
 
 def coasting(before: np.ndarray = BEFORE) -> Motion:
@@ -26,8 +28,8 @@ def learnt_from(offs: np.ndarray) -> MotionPrior:
     """After steps that were so far off, (N, 6), and well seen."""
     prior = VelocityPrior()
     for off in offs:
-        prior.learn(prior.prior(coasting(), CHANGE), off)
-    return prior.prior(coasting(), CHANGE)
+        prior.learn(prior.prior(coasting(), CHANGE, SURE), off)
+    return prior.prior(coasting(), CHANGE, SURE)
 
 
 def drawn(rng: np.random.Generator, shares: np.ndarray, rate: float, steps: int) -> np.ndarray:
@@ -55,7 +57,7 @@ def test_turns_are_rare_steps_and_not_a_wider_body() -> None:
 
 def test_densities_are_densities() -> None:
     """Against the mixture of two of scipy's t, and 1 in sum."""
-    learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.1), np.full(6, 0.05)))
+    learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.1), np.full(6, 0.05)), SURE)
     off, place = np.array([0.1, -0.3, 0.02, 0.2, 0.0, -0.5]), np.diag(np.full(6, 0.03**2))
     known = 0.63 * np.diag(BEFORE + place)  # of a t like that normal error
     mixed = 0.95 * stats.t.pdf(off, 3, scale=np.sqrt(0.01 * CHANGE + known))
@@ -76,13 +78,13 @@ def test_the_motion_is_as_wide_as_its_deviations(share: float) -> None:
     offs = rng.standard_t(3.0, (200_000, 6)) * share * wide
     rare = rng.random(offs.shape) < 0.05
     offs[rare] = (rng.standard_normal(offs.shape) * wide)[rare]
-    learnt = MotionPrior(coasting(), CHANGE, Usual(shares, np.full(6, 0.05))).learnt()
+    learnt = MotionPrior(coasting(), CHANGE, Usual(shares, np.full(6, 0.05)), SURE).learnt()
     stated = np.diag(learnt.covariance) - np.diag(BEFORE)
     assert stated == pytest.approx((offs**2).mean(axis=0), rel=0.15)
 
 
 def test_a_scan_tells_whether_a_step_is_a_rare_one() -> None:
-    learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.03), np.full(6, 0.05)))
+    learnt = MotionPrior(coasting(), CHANGE, Usual(np.full(6, 0.03), np.full(6, 0.05)), SURE)
     place = np.diag(np.full(6, 0.01**2))
     kept, turned, blind = (
         learnt.learnt(turn * np.eye(6)[5], covariance).covariance[5, 5]
@@ -92,16 +94,27 @@ def test_a_scan_tells_whether_a_step_is_a_rare_one() -> None:
     assert blind == pytest.approx(np.diag(learnt.learnt().covariance)[5], rel=0.05)  # nothing seen, nothing told
 
 
+def test_a_body_off_by_what_nobody_saw_of_it_made_no_rare_step() -> None:
+    """Four tenths off are no turn where it may have drifted by three; where it has not, they are."""
+    usual, off = Usual(np.full(6, 0.03), np.full(6, 0.05)), np.full(6, 0.4)
+    place = np.diag(np.full(6, 0.01**2))
+    seen, unseen = (
+        MotionPrior(coasting(), CHANGE, usual, adrift).learnt(off, place) for adrift in (SURE, np.full(6, 0.3**2))
+    )
+    assert np.all(np.diag(seen.covariance) > 0.9 * CHANGE)
+    assert np.all(np.diag(unseen.covariance) < 0.3 * CHANGE)
+
+
 def test_where_nothing_is_seen_nothing_is_learnt() -> None:
     """A body that is where it was expected because nobody saw it does not move the more steadily for that."""
-    prior, fresh = VelocityPrior(), VelocityPrior().prior(coasting(), CHANGE)
+    prior, fresh = VelocityPrior(), VelocityPrior().prior(coasting(), CHANGE, SURE)
     for _ in range(30):
-        expected = prior.prior(coasting(), CHANGE)
+        expected = prior.prior(coasting(), CHANGE, SURE)
         used = expected.learnt()
         known = used.covariance.copy()
         known[1:, 1:] = np.diag(np.full(5, 0.005**2))
         prior.learn(expected, np.zeros(6), used, known)
-    learnt = prior.prior(coasting(), CHANGE)
+    learnt = prior.prior(coasting(), CHANGE, SURE)
     assert learnt.usual.shares[0] == fresh.usual.shares[0]
     assert np.all(learnt.usual.shares[1:] < 0.5 * fresh.usual.shares[1:])
 
@@ -113,12 +126,12 @@ def test_estimates_drawn_to_what_is_learnt_do_not_make_it_ever_smaller(sigma: fl
     for _ in range(8):
         prior = VelocityPrior()
         for _ in range(60):
-            expected = prior.prior(coasting(1e-6 * np.eye(6)), CHANGE)
+            expected = prior.prior(coasting(1e-6 * np.eye(6)), CHANGE, SURE)
             used = expected.learnt()
             wide, truth = np.diag(used.covariance), 0.1 * np.sqrt(CHANGE) * rng.standard_normal(6)
             known = 1.0 / (1.0 / wide + 1.0 / sigma**2)
             prior.learn(expected, known * (truth + sigma * rng.standard_normal(6)) / sigma**2, used, np.diag(known))
-        found.append(prior.prior(coasting(), CHANGE).usual.shares)
+        found.append(prior.prior(coasting(), CHANGE, SURE).usual.shares)
     assert np.exp(np.log(found).mean()) == pytest.approx(0.1, rel=0.4)
 
 
