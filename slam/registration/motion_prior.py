@@ -28,8 +28,8 @@ class MotionPrior(NamedTuple):
     usual: Usual
     """How this body changes it."""
     adrift: FloatArray
-    """Variances of where it starts in what its end is seen in, shape (6,): where nobody saw the body for a while it is
-    off by more than its last motion."""
+    """Variances of where it starts from where something was seen last, shape (6,): past a stretch of nothing a body is
+    off by all of the way there, and not by its last motion alone."""
 
     def log_density(self, off: FloatArray, place: FloatArray | None = None) -> FloatArray:
         """Of a deviation (6,), seen with a covariance (6, 6), along each axis, up to the normal's constant, (6,)."""

@@ -30,6 +30,7 @@ from slam.registration.relocalization import (
     is_poorly_known,
     place_of,
     planes_about,
+    scan_of,
     sigmas_of,
 )
 from slam.registration.submaps import anchored
@@ -296,18 +297,24 @@ class MotionModel:
     def _unmeasured(self, keyframe: Keyframe, last: int, before_s: float, ahead_s: float) -> MotionPrior:
         """What is expected of the motion to a keyframe, after one of so many seconds, had nobody measured it."""
         known, adrift, rules = None, np.zeros(6), self._config.coasting
-        first, before, end = (pose_symbol(frame) for frame in (self._sparsifier.held[-RECENT:][0], last - 1, last))
-        way, step = (inverse(self._backend.pose(start)) @ self._backend.pose(end) for start in (first, before))
+        seen, before, end = (pose_symbol(frame) for frame in (self._seen_last(), last - 1, last))
+        way, step = (inverse(self._backend.pose(start)) @ self._backend.pose(end) for start in (seen, before))
         self.odometry_record.settle(step)
         if keyframe.motion is None:
-            joint = self._backend.joint_covariance(sorted({first, before, end}))
+            joint = self._backend.joint_covariance(sorted({seen, before, end}))
             known = relative_covariance(step, joint.of([before, end]))
-            adrift = np.diag(relative_covariance(way, joint.of([first, end])))
+            adrift = np.diag(relative_covariance(way, joint.of([seen, end])))
         if self._expected is not None:
             prior, used = self._expected
             self.velocity_prior.learn(prior, displacement(prior.motion.a_T_b, step), used, known)
         change = np.diag(coast(step, before_s, ahead_s, rules).covariance)
         return self.velocity_prior.prior(coast(step, before_s, ahead_s, rules, known), change, adrift)
+
+    def _seen_last(self) -> int:
+        """The last keyframe from which anything was seen, of those that a scan is laid on."""
+        recent = self._sparsifier.held[-RECENT:]
+        seen = [one for one in recent if self._keyframes[one].observations or scan_of(self._keyframes[one]) is not None]
+        return (seen or recent[:1])[-1]
 
     def _measured(self, keyframe: Keyframe, used: Motion) -> Motion | None:
         """The motion that came with a keyframe as the graph has it, errors of calibration still in it; see `_Step`."""
