@@ -658,6 +658,13 @@ MUTATIONS = (
         "return self.before + (",
         "tests/slam/registration/test_motion_prior.py",
     ),
+    Mutation(
+        "tracking: a body starts where its last keyframe is, seen or not",
+        "slam/tracking/prediction.py",
+        "return (seen or recent[:1])[-1]",
+        "return recent[-1]",
+        "tests/slam/tracking/test_constant_velocity.py",
+    ),
 )
 
 

@@ -93,3 +93,19 @@ def test_a_body_that_nobody_sees_move_for_a_while_is_where_its_velocities_before
         nees.append(off[k] @ np.linalg.solve(slam.marginal_covariance(pose_symbol(k))[3:, 3:], off[k]))
     low, high = mean_nees_band(10, 3, level=0.998)
     assert low < np.mean(nees) < high
+
+
+def test_past_a_stretch_of_nothing_a_body_may_be_off_by_all_of_the_way_there() -> None:
+    """In sight it starts where it was seen; out of sight it drifts by more than its last motion errs."""
+    rng, slam, adrift, before = np.random.default_rng(0), PlaneSlam(), [], []
+    for k in range(16):
+        seen = measured(hall(), body(2.0 + 0.1 * k, 0.5, 0.3), rng) if k < 10 else []
+        keyframe = Keyframe(k * 300_000_000, [PlaneObservation(plane) for plane in seen])
+        if k > 1:
+            prior = slam._motion_model._unmeasured(keyframe, k - 1, 0.3, 0.3)
+            adrift.append(prior.adrift[:3])
+            before.append(prior.before[:3])
+        slam.add_keyframe(keyframe)
+    assert np.abs(adrift[:9]).max() < 1e-12
+    assert np.all(np.diff(adrift[8:], axis=0) > 0.0)
+    assert np.all(np.array(adrift[-1]) > 2.0 * np.array(before[-1]))
