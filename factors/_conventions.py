@@ -24,6 +24,35 @@ SP_TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
 POSE3_TO_SP = np.array([3, 4, 5, 2, 1, 0])
 
 
+#: Of (x, y, heading) in GTSAM's order.
+_IN_PLANE = np.ix_([3, 4, 2], [3, 4, 2])
+
+
+def planar_motion(
+    delta: FloatArray, covariance: FloatArray, out_of_plane_sigmas: tuple[float, float, float]
+) -> tuple[gtsam.Pose3, FloatArray]:
+    """A motion on a floor as a Pose3 with the covariance (6, 6) of its tangent.
+
+    Args:
+        delta: (x, y, theta), m and rad, shape (3,).
+        covariance: of these, x and y along the axes of the start, shape (3, 3), symmetric to rounding.
+        out_of_plane_sigmas: of (z m, roll rad, pitch rad), along the axes of the end.
+    """
+    x, y, theta = delta.tolist()
+    z, roll, pitch = out_of_plane_sigmas
+    full = np.zeros((6, 6))
+    full[_IN_PLANE] = in_frame_of_end(theta, 0.5 * (covariance + covariance.T))
+    full[5, 5], full[0, 0], full[1, 1] = z**2, roll**2, pitch**2
+    return gtsam.Pose3(gtsam.Rot3.Yaw(theta), np.array([x, y, 0.0])), full
+
+
+def in_frame_of_end(theta: float, covariance: FloatArray) -> FloatArray:
+    """Covariance of (x, y, theta) additive in the axes of a motion's start, turned to those of its end, (3, 3)."""
+    c, s = np.cos(theta), np.sin(theta)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return turn @ covariance @ turn.T
+
+
 def oriented_plane(normal: FloatArray, d: float) -> gtsam.OrientedPlane3:
     """GTSAM plane of the Hesse plane n.x = d; ``normal`` has shape (3,)."""
     return gtsam.OrientedPlane3(np.array([normal[0], normal[1], normal[2], -d]))

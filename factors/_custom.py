@@ -174,8 +174,10 @@ class _NoValue(RuntimeError):
         self.recipe = recipe
 
 
-def describe(factor: gtsam.CustomFactor) -> Recipe | VelocityRecipe | None:
-    """Recipe of a custom factor made here; None for anybody else's."""
+def describe(factor: gtsam.NonlinearFactor) -> Recipe | VelocityRecipe | None:
+    """Recipe of a custom factor made here; None for anybody else's, and for native ones."""
+    if not isinstance(factor, gtsam.CustomFactor):
+        return None
     try:
         factor.unwhitenedError(gtsam.Values())
     except _NoValue as refusal:

@@ -96,7 +96,7 @@ def _anchorings(factor: Any) -> list[tuple[int, int | None]]:
         return [(keys[2], keys[1])]
     if isinstance(factor, gtsam.OrientedPlane3Factor | gtsam.OrientedPlane3DirectionPrior):
         return [(keys[-1], None)]
-    recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
+    recipe = describe(factor)
     if not isinstance(recipe, Recipe):
         return []
     if recipe.kernel in ("plane", "map") and recipe.pose_key is recipe.anchor_key is None:

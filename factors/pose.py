@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from factors._check import as_definite_covariance, as_key, as_keys, check_distinct
-from factors._conventions import SP_TO_POSE3
+from factors._conventions import SP_TO_POSE3, in_frame_of_end, planar_motion
 from factors._custom import VelocityRecipe
 from factors.robust import Robust, with_robust
 from spplanes._check import FloatArray, as_number, as_positive, as_shape, as_transform
 
 _UP = np.array((0.0, 0.0, 1.0))
-#: Of (x, y, heading) in GTSAM's order.
-_IN_PLANE = np.ix_([3, 4, 2], [3, 4, 2])
 #: Stated sigmas of what wheels do not measure in one step: z (m), roll (rad), pitch (rad).
 OUT_OF_PLANE_SIGMAS = (0.01, 0.005, 0.005)
 
@@ -122,27 +120,9 @@ def odometry_factor(
     check_distinct(key_a=key_a, key_b=key_b)
     definite = as_definite_covariance("covariance", covariance, 3)
     sigmas = _sigmas("out_of_plane_sigmas", out_of_plane_sigmas)
-    keys = as_key("key_a", key_a), as_key("key_b", key_b)
-    return checked_odometry_factor(*keys, _x_y_theta(delta), definite, sigmas, robust)
-
-
-def checked_odometry_factor(
-    key_a: int,
-    key_b: int,
-    delta: FloatArray,
-    covariance: FloatArray,
-    out_of_plane_sigmas: tuple[float, float, float],
-    robust: Robust = None,
-) -> gtsam.BetweenFactorPose3:
-    """`odometry_factor` of what was checked before, in a third of the time; symmetric to rounding will do."""
-    x, y, theta = delta.tolist()
-    full = np.zeros((6, 6))
-    full[_IN_PLANE] = _in_frame_of_b(theta, 0.5 * (covariance + covariance.T))
-    z, roll, pitch = out_of_plane_sigmas
-    full[5, 5], full[0, 0], full[1, 1] = z**2, roll**2, pitch**2
-    motion = gtsam.Pose3(gtsam.Rot3.Yaw(theta), np.array([x, y, 0.0]))
+    motion, full = planar_motion(_x_y_theta(delta), definite, sigmas)
     noise = with_robust(gtsam.noiseModel.Gaussian.Covariance(full), robust, 6)
-    return gtsam.BetweenFactorPose3(key_a, key_b, motion, noise)
+    return gtsam.BetweenFactorPose3(as_key("key_a", key_a), as_key("key_b", key_b), motion, noise)
 
 
 def odometry_factor_2d(
@@ -151,7 +131,7 @@ def odometry_factor_2d(
     """2D odometry between two Pose2; arguments as in `odometry_factor`."""
     check_distinct(key_a=key_a, key_b=key_b)
     x, y, theta = _x_y_theta(delta)
-    own = _in_frame_of_b(theta, as_definite_covariance("covariance", covariance, 3))
+    own = in_frame_of_end(theta, as_definite_covariance("covariance", covariance, 3))
     noise = with_robust(gtsam.noiseModel.Gaussian.Covariance(own), robust, 3)
     return gtsam.BetweenFactorPose2(as_key("key_a", key_a), as_key("key_b", key_b), gtsam.Pose2(x, y, theta), noise)
 
@@ -184,13 +164,6 @@ def _x_y_theta(delta: ArrayLike | gtsam.Pose2) -> FloatArray:
     if abs(numbers[2]) > 2.0 * np.pi:
         raise ValueError(f"delta: expected an angle of at most a full turn, in rad, got {numbers[2]:g}")
     return numbers
-
-
-def _in_frame_of_b(theta: float, covariance: FloatArray) -> FloatArray:
-    """Covariance of (x, y, theta) additive in a's axes, turned to b's axes, where GTSAM's tangent lives."""
-    c, s = np.cos(theta), np.sin(theta)
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return turn @ covariance @ turn.T
 
 
 def _sigmas(name: str, values: Sequence[float]) -> tuple[float, float, float]:

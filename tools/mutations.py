@@ -647,8 +647,8 @@ MUTATIONS = (
     Mutation(
         "tracking: motions that nobody measured err each by itself",
         "slam/tracking/prediction.py",
-        "if assumed is not None and before_s > 0.0:",
-        "if assumed is not None and before_s > np.inf:",
+        "step = motion.factor(before, key) if assumed is None else",
+        "step = motion.factor(before, key) if True else",
         "tests/slam/tracking/test_constant_velocity.py",
     ),
     Mutation(
@@ -661,8 +661,8 @@ MUTATIONS = (
     Mutation(
         "tracking: a body starts where its last keyframe is, seen or not",
         "slam/tracking/prediction.py",
-        "return (seen or recent[:1])[-1]",
-        "return recent[-1]",
+        "if keyframe.observations or scan_of(keyframe) is not None:",
+        "if True:",
         "tests/slam/tracking/test_constant_velocity.py",
     ),
 )

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors import planar_motion_factor, relative_pose_factor
-from factors._conventions import POSE3_TO_SP
-from factors.pose import checked_odometry_factor
+from factors._conventions import POSE3_TO_SP, planar_motion
 from slam.geometry.frames import inverse
 from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
@@ -99,8 +98,9 @@ class Motion:
         """The motion alone as a factor between two Pose3 keys."""
         if not self.is_planar:
             return relative_pose_factor(key_a, key_b, self.a_T_b, self.covariance)
-        delta = planar_delta(self.a_T_b)
-        return checked_odometry_factor(key_a, key_b, delta, self.covariance, self.out_of_plane_sigmas)
+        # what `factors.odometry_factor` would check was checked when the motion came: it is asked for at every step
+        motion, covariance = planar_motion(planar_delta(self.a_T_b), self.covariance, self.out_of_plane_sigmas)
+        return gtsam.BetweenFactorPose3(key_a, key_b, motion, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
     def floor_factors(self, key_b: int) -> list[gtsam.NonlinearFactor]:
         """What holds its end to the floor; of a motion that is not planar nothing does."""

@@ -32,7 +32,7 @@ from spplanes._check import FloatArray
 #: A motion known worse than this is looked for by the planes, m and rad.
 _WIDE_M, _WIDE_RAD = 0.25, 0.12
 #: Landmarks that so many keyframes before have seen are looked for.
-RECENT = 6
+_RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
 #: Probability that two that are one place are taken for two.
@@ -159,14 +159,14 @@ def planes_about(
 ) -> tuple[PlaneArrays, PlaneArrays]:
     """Planes that the keyframe of an index sees, and those seen of late in the frame where the body is expected."""
     seen = planes_of(keyframe.observations)
-    recent = [landmark for landmark in landmarks if landmark.was_seen_between(index - RECENT, index)]
+    recent = [landmark for landmark in landmarks if landmark.was_seen_between(index - _RECENT, index)]
     known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
     return PlaneArrays.of(seen), PlaneArrays.of(known)
 
 
 def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
     """What the last keyframes saw, in the frame where the body is expected; None: no 3D scans."""
-    first = max(len(keyframes) - RECENT, 0)
+    first = max(len(keyframes) - _RECENT, 0)
     parts = []
     for index in range(first, len(keyframes)):
         scan = scan_of(keyframes[index])
@@ -175,7 +175,7 @@ def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world:
     return LocalMap(parts) if parts else None
 
 
-@lru_cache(maxsize=RECENT + 2)
+@lru_cache(maxsize=_RECENT + 2)
 def scan_of(keyframe: Keyframe) -> Scan | None:
     """The 3D scan of a keyframe, as it is registered; None: there is none, or nothing in it.
 

@@ -22,7 +22,6 @@ from slam.map.sparsification import Link
 from slam.map.state import EstimatorState
 from slam.registration.motion_prior import MotionPrior, VelocityPrior
 from slam.registration.relocalization import (
-    RECENT,
     FoundPlace,
     Rivals,
     displacement,
@@ -219,11 +218,7 @@ class MotionModel:
         if assumed is not None:
             motion = assumed.learnt() if place is None else place.expected
         self._expected = None if prior is None else (prior, None if assumed is None else motion)
-        before_s, ahead_s = self._seconds(keyframe.stamp_ns)
-        if assumed is not None and before_s > 0.0:
-            step = self._goes_on(motion, assumed, before_s, ahead_s)
-        else:
-            step = motion.factor(before, key)
+        step = motion.factor(before, key) if assumed is None else self._goes_on(motion, assumed, keyframe.stamp_ns)
         floor = motion.floor_factors(key)
         measured = self._measured(keyframe, motion) if place is None or not asked else None
         if place is None:
@@ -232,18 +227,19 @@ class MotionModel:
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [step, *place.factors(before, key, kernel)]
-        factors = [there.factor(before, key), *there.floor_factors(key), *floor]
+        factors = [there.factor(before, key), *floor]
         return _Step(
             world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=True, measured=measured
         )
 
-    def _goes_on(self, motion: Motion, prior: MotionPrior, before_s: float, ahead_s: float) -> gtsam.CustomFactor:
+    def _goes_on(self, motion: Motion, prior: MotionPrior, stamp_ns: int) -> gtsam.CustomFactor:
         """A motion that nobody measured, as a factor of the one before it as well: they err alike.
 
         However long nobody sees it, its velocity stays within what is likely of a body of which nothing is known.
         """
+        before_s, ahead_s = self._seconds(stamp_ns)
         change = np.diag(motion.covariance) - prior.before
-        any_speed = np.repeat(self._config.coasting.unknown_motion(ahead_s), 3) ** 2
+        any_speed = np.diag(coast(None, 0.0, ahead_s, self._config.coasting).covariance)
         kept = ahead_s / before_s * np.sqrt(np.clip(1.0 - change / any_speed, 0.0, 1.0))
         index = len(self._keyframes)
         self._sparsifier.stays(index - 2)
@@ -311,10 +307,12 @@ class MotionModel:
         return self.velocity_prior.prior(coast(step, before_s, ahead_s, rules, known), change, adrift)
 
     def _seen_last(self) -> int:
-        """The last keyframe from which anything was seen, of those that a scan is laid on."""
-        recent = self._sparsifier.held[-RECENT:]
-        seen = [one for one in recent if self._keyframes[one].observations or scan_of(self._keyframes[one]) is not None]
-        return (seen or recent[:1])[-1]
+        """The last keyframe from which anything was seen; the first one where nothing ever was."""
+        for number in reversed(self._sparsifier.held):
+            keyframe = self._keyframes[number]
+            if keyframe.observations or scan_of(keyframe) is not None:
+                return number
+        return self._sparsifier.held[0]
 
     def _measured(self, keyframe: Keyframe, used: Motion) -> Motion | None:
         """The motion that came with a keyframe as the graph has it, errors of calibration still in it; see `_Step`."""

@@ -6,7 +6,7 @@ import pytest
 
 from factors import constant_velocity_factor, pose_prior, relative_pose_factor
 from factors._conventions import SP_TO_POSE3
-from tests.factors.factor_scenes import assert_jacobian, random_pose
+from tests.factors.factor_scenes import assert_jacobian, random_pose, values_of
 from tests.statistics import mean_nees_band
 
 A, B, C = (gtsam.symbol("x", i) for i in range(3))
@@ -22,11 +22,8 @@ def exp(tangent: np.ndarray) -> gtsam.Pose3:
     return gtsam.Pose3.Expmap(tangent[SP_TO_POSE3])
 
 
-def values_of(*poses: gtsam.Pose3) -> gtsam.Values:
-    values = gtsam.Values()
-    for i, pose in enumerate(poses):
-        values.insert(gtsam.symbol("x", i), pose)
-    return values
+def along(*poses: gtsam.Pose3) -> gtsam.Values:
+    return values_of(**{f"x{i}": pose for i, pose in enumerate(poses)})
 
 
 def drive(rng: np.random.Generator, kept: float) -> list[gtsam.Pose3]:
@@ -49,7 +46,7 @@ def seen_at(poses: list[gtsam.Pose3], frames: range, rng: np.random.Generator) -
 
 def nees_of(graph: gtsam.NonlinearFactorGraph, poses: list[gtsam.Pose3], frame: int) -> tuple[float, float]:
     """NEES of a pose, and how far off it is, m."""
-    found = gtsam.LevenbergMarquardtOptimizer(graph, values_of(*poses)).optimize()
+    found = gtsam.LevenbergMarquardtOptimizer(graph, along(*poses)).optimize()
     key = gtsam.symbol("x", frame)
     off = found.atPose3(key).localCoordinates(poses[frame])
     information = gtsam.Marginals(graph, found).marginalInformation(key)
@@ -60,7 +57,7 @@ def test_derivatives_at_motions_of_all_sizes() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
         factor = constant_velocity_factor([A, B, C], np.diag(rng.uniform(0.1, 1.0, 6)), kept=rng.uniform(0.2, 1.5, 6))
-        assert_jacobian(factor, values_of(*(random_pose(rng) for _ in range(3))))
+        assert_jacobian(factor, along(*(random_pose(rng) for _ in range(3))))
 
 
 def test_what_goes_on_is_the_motion_in_its_own_axes_and_in_time() -> None:
@@ -68,12 +65,12 @@ def test_what_goes_on_is_the_motion_in_its_own_axes_and_in_time() -> None:
     motion = exp(np.array([0.4, 0.1, -0.1, 0.3, 0.1, 0.2]))
     start = random_pose(np.random.default_rng(0))
     twice = constant_velocity_factor([A, B, C], np.eye(6), kept=2.0)
-    assert twice.error(values_of(start, start * motion, start * motion * motion * motion)) < 1e-20
+    assert twice.error(along(start, start * motion, start * motion * motion * motion)) < 1e-20
     half_yaw = constant_velocity_factor([A, B, C], np.diag([1, 4, 9, 16, 25, 36]), kept=[1, 1, 1, 0.5, 1, 1])
     turn, less = exp(np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0])), exp(np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.0]))
     aside = less * gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 2.0, 0.0]))
-    assert half_yaw.error(values_of(start, start * turn, start * turn * less)) < 1e-20
-    assert half_yaw.error(values_of(start, start * turn, start * turn * aside)) == pytest.approx(0.5 * 2.0**2 / 4)
+    assert half_yaw.error(along(start, start * turn, start * turn * less)) < 1e-20
+    assert half_yaw.error(along(start, start * turn, start * turn * aside)) == pytest.approx(0.5 * 2.0**2 / 4)
 
 
 def test_unseen_a_body_drifts_by_all_changes_of_its_motion() -> None:
@@ -84,7 +81,7 @@ def test_unseen_a_body_drifts_by_all_changes_of_its_motion() -> None:
         graph.push_back(pose_prior(key, gtsam.Pose3(), 1e-12 * np.eye(6)))
     for k in range(n):
         graph.push_back(constant_velocity_factor([gtsam.symbol("x", k + i) for i in range(3)], np.diag(CHANGE)))
-    covariance = gtsam.Marginals(graph, values_of(*poses)).marginalCovariance(gtsam.symbol("x", n + 1))
+    covariance = gtsam.Marginals(graph, along(*poses)).marginalCovariance(gtsam.symbol("x", n + 1))
     expected = np.sqrt(CHANGE[0] * np.sum(np.arange(1, n + 1) ** 2))
     assert np.sqrt(np.diag(covariance)[3:]) == pytest.approx(np.full(3, expected), rel=1e-4)
 

@@ -151,12 +151,12 @@ class _Writer:
             self.left_out["robust kernels"] += 1
         if isinstance(factor, gtsam.BetweenFactorPose3):
             return [self._between(factor)]
-        sighting = _sighting_of(factor)
-        if sighting is not None and sighting.plane_key in self.planes:
-            return [self._plane_edge(factor, sighting)]
-        recipe = describe(factor) if isinstance(factor, gtsam.CustomFactor) else None
+        recipe = describe(factor)
         if isinstance(recipe, VelocityRecipe):
             return [self._between(self._goes_on(recipe))]
+        sighting = _sighting_of(factor, recipe)
+        if sighting is not None and sighting.plane_key in self.planes:
+            return [self._plane_edge(factor, sighting)]
         keys = list(factor.keys())
         if len(keys) == 1 and keys[0] in self.poses:
             return [self._prior(keys[0], factor)]
@@ -244,11 +244,10 @@ class _Sighting(NamedTuple):
     """Without a pose: it speaks of the landmark in the world, though that lives in the frame of an anchor."""
 
 
-def _sighting_of(factor: Any) -> _Sighting | None:
-    """What a factor sees; None where it is no sighting of one plane."""
-    if isinstance(factor, gtsam.CustomFactor):
-        recipe = describe(factor)
-        if not isinstance(recipe, Recipe) or recipe.reference_key is not None or recipe.planar:
+def _sighting_of(factor: Any, recipe: Recipe | None) -> _Sighting | None:
+    """What a factor, a custom one by its recipe, sees; None where it is no sighting of one plane."""
+    if recipe is not None:
+        if recipe.reference_key is not None or recipe.planar:
             return None
         in_world = recipe.pose_key is None and recipe.anchor_key is not None
         return _Sighting(recipe.plane_key, recipe.pose_key, in_world)
