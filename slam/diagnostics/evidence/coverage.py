@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import expit
 
 from factors.association.observations import LineObservation, Observation, PlaneObservation
+from slam.backend.estimator import pose_symbol
+from slam.backend.joint_covariance import relative_covariance
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.verdict import Evidence, at_least, named
 from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.frontend.odometry import Motion
+from slam.geometry.frames import inverse
 from slam.mapping.observability import OpenStretch, name_of, sigma_along
 from slam.planeslam import PlaneSlam
 from slam.registration.relocalization import sigmas_of
@@ -83,7 +87,8 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     look alike. Constant velocity is an assumption, and so is the sigma that follows from it: in a bare corridor a robot
     that stops for a while stands where the map does not know. What matched the scans of a laser without wheels knows
     there no more than that. Odometry that was found wrong, and left aside for an assumption, or that returns refute
-    and leave open, is none. No statistic is needed.
+    and leave open, is none. No statistic is needed. A few motions that nobody measured are not what a map is unsure of
+    where all else adds up to more: what the graph leaves open of them alone must, erring all the same way.
     """
     if run.left_open:
         frames, sigma = tuple(run.left_open), max(run.left_open.values())
@@ -101,11 +106,30 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     for one in run.open_in_map:
         if one.part != "position":
             continue
+        since = _adrift_since(run, one.direction, assumed)
         sigmas = {frame: sigma_along("position", one.direction, frame, run.backend) for frame in one.keyframes}
-        wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M and frame >= min(assumed))
+        wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M and frame >= since)
         if wide:
             worst = max(wide, key=lambda frame: sigmas[frame])
             yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
+
+
+def _adrift_since(run: PlaneSlam, direction: FloatArray, assumed: set[int]) -> float:
+    """The first keyframe that assumed motions, all off the same way, move by more than 0.1 m along a direction."""
+    held = [frame for frame in range(len(run.keyframes)) if run.backend.holds(pose_symbol(frame))]
+    total = 0.0
+    for start, end in pairwise(held):
+        if assumed.isdisjoint(range(start + 1, end + 1)):
+            continue
+        keys = [pose_symbol(start), pose_symbol(end)]
+        world_T_end = run.backend.pose(keys[1])
+        joint = run.backend.read_joint_covariance(keys, shared=False).of(keys)
+        covariance = relative_covariance(inverse(run.backend.pose(keys[0])) @ world_T_end, joint)[:3, :3]
+        along = world_T_end[:3, :3].T @ direction
+        total += float(np.sqrt(max(along @ covariance @ along, 0.0)))
+        if total > PROMISED_M:
+            return end
+    return np.inf
 
 
 def _is_told(motion: Motion) -> bool:

@@ -1,5 +1,6 @@
 """What a map leaves open where nobody measured the motion; and its planes against each other: behind, or doubled."""
 
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -28,11 +29,22 @@ from tests.slam.registration.test_plane_registration import body, hall, measured
 from tests.slam.scenes import room_planes
 
 CORRIDOR = [*hall()[:2], *hall()[4:]]  # nothing stands across y
+EVERY_STEP_TOLD: Mapping[int, float] = {}
 
 
-def driven(planes: list[Plane], *, odometry: bool, matched: bool = False) -> PlaneSlam:
-    """Ten keyframes along y, half a second and 0.3 m apart; `matched`: by scans, which tell the heading alone."""
-    rng, slam, sigmas = np.random.default_rng(0), PlaneSlam(), np.array([0.01, 0.01, 0.005])
+def driven(
+    planes: list[Plane],
+    *,
+    odometry: bool,
+    matched: bool = False,
+    sigma: float = 0.01,
+    refuted: Mapping[int, float] = EVERY_STEP_TOLD,
+) -> PlaneSlam:
+    """Ten keyframes along y, half a second and 0.3 m apart; `matched`: by scans, which tell the heading alone.
+
+    Scans refute wheels at some keyframes, and leave the way along y there open by so much, m.
+    """
+    rng, slam, sigmas = np.random.default_rng(0), PlaneSlam(), np.array([sigma, sigma, 0.005])
     bodies = [body(1.0, 0.3 * k, 0.0) for k in range(10)]
     for k, world_T_body in enumerate(bodies):
         motion, step = None, inverse(bodies[k - 1]) @ world_T_body
@@ -41,6 +53,15 @@ def driven(planes: list[Plane], *, odometry: bool, matched: bool = False) -> Pla
         if matched and k:
             wide, told = np.diag((0.2, 0.2, 0.1)) ** 2, np.diag((30.0, 30.0, 0.01)) ** 2
             motion = Motion(step, wide, (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=told)
+        if k in refuted:
+            motion = Motion(
+                step,
+                np.diag((0.15, refuted[k], 0.01)) ** 2,
+                (1e-3, 1e-3, 1e-3),
+                returns_a_T_b=step,
+                returns_covariance=np.diag((30.0, 30.0, 0.01)) ** 2,
+                refuted_a_T_b=step,
+            )
         seen = [PlaneObservation(plane) for plane in measured(planes, world_T_body, rng)]
         slam.add_keyframe(Keyframe(k * 500_000_000, seen, motion))
     return slam
@@ -56,6 +77,14 @@ def test_a_bare_corridor_without_odometry_is_doubted(matched: bool) -> None:
 @pytest.mark.parametrize("planes, odometry", [(hall(), False), (CORRIDOR, True)], ids=["hall", "odometry"])
 def test_what_is_seen_or_measured_is_no_assumption(planes: list[Plane], odometry: bool) -> None:
     assert not list(assumption_evidence(driven(planes, odometry=odometry)))
+
+
+def test_a_few_short_assumptions_are_not_what_a_long_way_is_unsure_of() -> None:
+    """Wheels leave 0.15 m open of a corridor; motions without wheels count where they alone add up to 0.1 m."""
+    assert not list(assumption_evidence(driven(CORRIDOR, odometry=True, sigma=0.05, refuted={3: 0.04, 6: 0.04})))
+    for refuted in ({3: 0.04, 5: 0.04, 6: 0.04}, {6: 0.12}):
+        [found] = assumption_evidence(driven(CORRIDOR, odometry=True, sigma=0.05, refuted=refuted))
+        assert min(found.keyframes) >= 6
 
 
 @pytest.mark.parametrize("walls, blind", [([], 9), ([2], 0)], ids=["floor and ceiling", "one wall"])
