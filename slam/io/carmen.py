@@ -61,13 +61,15 @@ def read_carmen(path: Path | str, *, rig: Rig | None = None, keep_partial: bool 
     if not (rows["name"] > 0).any():
         raise LogError(path, "expected a CARMEN log with laser records, got none")
     stamps = _stamps(raw, rows)
-    _note_order(path, raw, rows, stamps)
+    times = _times(path, raw, rows, stamps)
     lasers = _lasers_of(path, raw, rows, rig)
     stated = {laser.sensor: laser.mount for laser in lasers.values() if laser.mount is not None}
-    return Log(_events_of(rows, stamps, lasers), path, raw.notes, stated)
+    moved = np.isin(rows["name"], list(lasers)) & (times != stamps)
+    stamped = dict(zip(times[moved].tolist(), stamps[moved].tolist(), strict=True))
+    return Log(_events_of(rows, times, lasers), path, raw.notes, stated, stamped_ns=stamped)
 
 
-def _events_of(rows: np.ndarray, stamps: np.ndarray, lasers: dict[int, TableScans]) -> list[Event]:
+def _events_of(rows: np.ndarray, times: np.ndarray, lasers: dict[int, TableScans]) -> list[Event]:
     """Scans and readings of a table, in time order."""
     own_odometry = bool(((rows["name"] == 0) | np.isnan(rows["start"])).any())
     tells_odometry = np.isfinite(rows["robot_pose"][:, 0]) & (np.isnan(rows["start"]) | (not own_odometry))
@@ -75,12 +77,12 @@ def _events_of(rows: np.ndarray, stamps: np.ndarray, lasers: dict[int, TableScan
     told = [rows[name].tolist() for name in ("name", "beams", "start", "step")]
     pose = {"odom_T_body": partial(robot_pose, rows)}
     events: list[Event] = []
-    for row, (stamp, number, *bearings) in enumerate(zip(stamps.tolist(), *told, strict=True)):
+    for row, (time, number, *bearings) in enumerate(zip(times.tolist(), *told, strict=True)):
         if number in lasers:
-            known = {"stamp_ns": stamp, "sensor": lasers[number].sensor, "angles": lasers[number].angles(*bearings)}
+            known = {"stamp_ns": time, "sensor": lasers[number].sensor, "angles": lasers[number].angles(*bearings)}
             events.append(StoredScan(known, readers[number], row))
         if (number == 0 or number in lasers) and tells_odometry[row]:
-            events.append(StoredReading({"stamp_ns": stamp}, pose, row))
+            events.append(StoredReading({"stamp_ns": time}, pose, row))
     return in_order(events)
 
 
@@ -93,8 +95,13 @@ def _stamps(raw: RawLog, rows: np.ndarray) -> np.ndarray:
     return sensors
 
 
-def _note_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> None:
-    """Say once how many records come late; a time that runs back by more than a moment is another log, or damage."""
+def _times(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+    """When every record was made, shape (N,), ns: what it is stamped, or where stamps run back as it was written.
+
+    Programs that write at once each have their own clock's order, and late records are sorted. A program that was held
+    up stamps late what it writes in order; then the poses in the records go back and forth by the stamps, and on the
+    shortest way as written. A time that runs back by more than a moment is another log, or damage.
+    """
     late, worst = 0, 0
     for name, number in raw.names.items():
         (own,) = np.nonzero(rows["name"] == number)
@@ -104,8 +111,34 @@ def _note_order(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -
             problem = f"time runs backwards by {behind[far[0]] / 1e9:.6f} s in {name}"
             raise LogError(path, problem, line=int(rows["line"][own[far[0]]]))
         late, worst = late + int((behind > 0).sum()), max(worst, int(behind.max(initial=0)))
-    if late:
-        raw.notes.append(f"sorted {late} records whose time runs back by up to {worst / 1e9:.3f} s")
+    if not late:
+        return stamps
+    poses = rows["robot_pose"][np.argsort(stamps, kind="stable")]
+    as_written = _way(rows["robot_pose"]) < _way(poses)
+    taken = "took as written" if as_written else "sorted"
+    raw.notes.append(f"{taken} {late} records whose time runs back by up to {worst / 1e9:.3f} s")
+    return _as_written(stamps) if as_written else stamps
+
+
+def _way(poses: FloatArray) -> float:
+    """Length of the way along poses (N, 3), of which some may be unknown, and how far it turns: m and rad, added."""
+    steps = np.diff(poses[np.isfinite(poses[:, 0])], axis=0)
+    turns = np.abs(np.remainder(steps[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    return float(np.sum(np.hypot(steps[:, 0], steps[:, 1])) + np.sum(turns))
+
+
+def _as_written(stamps: np.ndarray) -> np.ndarray:
+    """Times that ascend in the order of the records, shape (N,), ns: no record is made after it is stamped.
+
+    Nor is one after what a later one is stamped; those that were held up are spread from the time before evenly.
+    """
+    latest = np.minimum.accumulate(stamps[::-1])[::-1]
+    ends, first, number, count = np.unique(latest, return_index=True, return_inverse=True, return_counts=True)
+    starts = np.concatenate((ends[:1], ends[:-1]))
+    place = np.arange(len(stamps)) - first[number] + 1
+    spread = starts[number] + (ends - starts)[number] * place // count[number]
+    held_up = np.bincount(number, latest < stamps) > 0
+    return np.where(held_up[number], spread, stamps)
 
 
 def _lasers_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> dict[int, TableScans]:

@@ -148,14 +148,15 @@ def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
     Args:
         log: whose scans; those of sensors that the rig does not have, and of files that cannot be read, are left out.
         rig: where the sensors sit and how far they see.
-        scans: world_T_body at the scans, by their times.
+        scans: world_T_body at the scans, by what they are stamped.
     """
     known = [one for one in log.scans() if one.sensor in rig.sensors]
-    rows = np.searchsorted(scans.stamps_ns, [one.stamp_ns for one in known])
+    stamps = log.as_stamped([one.stamp_ns for one in known]).tolist()
+    rows = np.searchsorted(scans.stamps_ns, stamps)
     posed = [
         (one, row)
-        for one, row in zip(known, rows.tolist(), strict=True)
-        if row < len(scans) and scans.stamps_ns[row] == one.stamp_ns
+        for one, stamp, row in zip(known, stamps, rows.tolist(), strict=True)
+        if row < len(scans) and scans.stamps_ns[row] == stamp
     ]
     most = _MOST_CLOUDS if any(isinstance(one, CloudScan) for one, _ in posed) else _MOST_SCANS
     chosen = [posed[k] for k in evenly(len(posed), most)]

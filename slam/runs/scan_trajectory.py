@@ -32,7 +32,7 @@ def scan_trajectory(keyframes: Trajectory, log: Log, rig: Rig, config: SlamConfi
         track = track_of(log, rig, config)
     except LogError:  # 3D scans without odometry
         track = None
-    return carried(keyframes, scan_stamps(log), track)
+    return as_stamped(carried(keyframes, scan_stamps(log), track), log)
 
 
 def given_at_scans(log: Log, mapped: Trajectory) -> Trajectory:
@@ -46,7 +46,13 @@ def given_at_scans(log: Log, mapped: Trajectory) -> Trajectory:
     given |= dict(zip(mapped.stamps_ns.tolist(), mapped.poses, strict=True))
     times = sorted(given)
     known = Trajectory(np.array(times, dtype=np.int64), np.array([given[time] for time in times]).reshape(-1, 4, 4))
-    return carried(known, scan_stamps(log), None)
+    return as_stamped(carried(known, scan_stamps(log), None), log)
+
+
+def as_stamped(scans: Trajectory, log: Log) -> Trajectory:
+    """Poses of a log's scans by what these are stamped, which is what others know them by."""
+    stamps, rows = np.unique(log.as_stamped(scans.stamps_ns.tolist()), return_index=True)
+    return Trajectory(stamps, scans.poses[rows])
 
 
 def odometry_of(log: Log, rig: Rig, trajectory: Trajectory, stamps_ns: np.ndarray | None = None) -> Trajectory:

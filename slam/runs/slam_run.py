@@ -20,7 +20,7 @@ from slam.io.trajectories import Trajectory
 from slam.joining.join import Progress
 from slam.planeslam import MapPlane, PlaneSlam
 from slam.runs.repair import Repair, repaired
-from slam.runs.scan_trajectory import odometry_of, scan_stamps, scan_trajectory
+from slam.runs.scan_trajectory import as_stamped, odometry_of, scan_stamps, scan_trajectory
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.timing import StageClock
@@ -60,7 +60,7 @@ class Run:
     @cached_property
     def scan_odometry(self) -> Trajectory:
         """The same scans by odometry alone, from the first keyframe's estimate; empty without odometry."""
-        return odometry_of(self.log, self.rig, self.trajectory, scan_stamps(self.log))
+        return as_stamped(odometry_of(self.log, self.rig, self.trajectory, scan_stamps(self.log)), self.log)
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -85,6 +86,8 @@ class Log:
     """File that the odometry was taken from in place of the log's own; None: it is the log's own."""
     assumed: list[str] = field(default_factory=list)
     """What was taken for granted because nobody said it, one sentence each."""
+    stamped_ns: dict[int, int] = field(default_factory=dict)
+    """What scans that came at another time were stamped, by that time, ns."""
 
     @property
     def odometry(self) -> list[OdometryReading]:
@@ -97,6 +100,10 @@ class Log:
         readings = self.odometry
         moves = any(not np.array_equal(reading.odom_T_body, readings[0].odom_T_body) for reading in readings[1:])
         return readings if moves else []
+
+    def as_stamped(self, times_ns: Sequence[int]) -> np.ndarray:
+        """What scans of these times were stamped, shape (N,), int64, ns."""
+        return np.array([self.stamped_ns.get(time, time) for time in times_ns], dtype=np.int64)
 
     def scans(self, sensor: str | None = None) -> list[LaserScan | CloudScan]:
         """The scans of one sensor, or of all, in time order."""

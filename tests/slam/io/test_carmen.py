@@ -127,6 +127,18 @@ def test_records_that_come_late_by_a_moment_are_sorted_and_said_once(tmp_path):
     assert log.notes == ["sorted 3 records whose time runs back by up to 1.000 s"]
 
 
+def test_records_of_a_program_that_was_held_up_are_taken_as_written(tmp_path):
+    """The poses go on as written; sorted by what they are stamped they would go back and forth."""
+    held_up = [flaser(3.0, x=0.2), odom(3.01, x=0.3), flaser(3.02, x=0.4)]
+    lines = [flaser(1.0, x=0.0), odom(1.4, x=0.1), *held_up, flaser(2.2, x=0.5), flaser(3.2, x=0.6)]
+    log = read_carmen(write(tmp_path, *lines))
+    assert [reading.odom_T_body[0, 3] for reading in log.odometry] == pytest.approx([0.1 * k for k in range(7)])
+    assert [scan.stamp_ns / 1e9 for scan in log.scans()] == [1.0, 1.6, 2.0, 2.2, 3.2]
+    assert log.stamped_ns == {1_600_000_000: 3_000_000_000, 2_000_000_000: 3_020_000_000}
+    assert log.as_stamped([one.stamp_ns for one in log.scans()]).tolist() == [1e9, 3e9, 3.02e9, 2.2e9, 3.2e9]
+    assert log.notes == ["took as written 1 records whose time runs back by up to 0.820 s"]
+
+
 def test_scans_of_one_log_may_have_different_numbers_of_beams(tmp_path):
     wide = " ".join(["2.0"] * 181)
     log = read_carmen(write(tmp_path, flaser(1.0, ranges=wide[4:]), flaser(2.0, ranges=wide)))

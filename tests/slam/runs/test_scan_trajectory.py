@@ -11,7 +11,7 @@ from slam.evaluation import absolute_error
 from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import planar_transform
 from slam.io.trajectories import Trajectory, read_tum
-from slam.output.run_files import write_map
+from slam.output.run_files import points_of_map, write_map
 from slam.runs.mapping_run import run_map
 from slam.runs.scan_trajectory import carried
 from slam.runs.slam_run import run_slam
@@ -108,18 +108,25 @@ def test_keyframes_that_left_the_graph_keep_their_poses():
 
 
 def test_a_map_at_given_poses_has_those_at_every_scan(tmp_path: Path):
-    """Scans of other sensors have their own; one without is between its neighbours."""
+    """Scans of other sensors have their own; one without is between its neighbours. Each is known by its own stamp."""
     mission = simulate_mission("corridor", n_scans=40, seed=0)
     events = [
         replace(event, world_T_body=None) if k % 7 == 3 and getattr(event, "sensor", "") == "horizontal" else event
         for k, event in enumerate(mission.log.events)
     ]
-    log = replace(mission.log, events=events)
+    times = sorted({scan.stamp_ns for scan in mission.log.scans()})
+    log = replace(mission.log, events=events, stamped_ns={times[4]: times[6] + 1, times[5]: times[6] + 2})
     result = run_map(log, mission.rig, SlamConfig())
-    assert result.scan_trajectory.stamps_ns.tolist() == sorted({scan.stamp_ns for scan in log.scans()})
+    known_by = dict(zip(times, log.as_stamped(times).tolist(), strict=True))
+    assert result.scan_trajectory.stamps_ns.tolist() == sorted(known_by.values()) != times
     for scan in log.scans():
         if scan.world_T_body is not None:
-            place = int(np.searchsorted(result.scan_trajectory.stamps_ns, scan.stamp_ns))
+            place = int(np.searchsorted(result.scan_trajectory.stamps_ns, known_by[scan.stamp_ns]))
             np.testing.assert_array_equal(result.scan_trajectory.poses[place], scan.world_T_body)
+    plain = replace(log, stamped_ns={})
+    shown, same = (
+        points_of_map(one, mission.rig, run_map(one, mission.rig, SlamConfig()).scan_trajectory) for one in (log, plain)
+    )
+    np.testing.assert_array_equal(shown, same)
     write_map(result, tmp_path, SlamConfig(), mission.rig, title="map")
     assert read_tum(tmp_path / "scans.tum").stamps_ns.tolist() == result.scan_trajectory.stamps_ns.tolist()
