@@ -428,6 +428,27 @@ MUTATIONS = (
         "tests/slam/tracking/test_odometry_check.py -k fit_as_well",
     ),
     Mutation(
+        "places of a scan: one that nothing fits is as likely as one that is alike",
+        "slam/registration/surface_registration.py",
+        "return prior - less * (_TELLING + _TELLING_AS_A_SQUARE * weight * less)",
+        "return prior - less * _TELLING",
+        "tests/slam/registration/test_scans_alone.py -k seen_in_part",
+    ),
+    Mutation(
+        "verdict: one motion that nobody measured makes all that follows an assumption",
+        "slam/diagnostics/evidence/coverage.py",
+        "        if total > PROMISED_M:\n            return end\n",
+        "        return end\n",
+        "tests/slam/diagnostics/evidence/test_coverage.py -k few_short",
+    ),
+    Mutation(
+        "CARMEN: records that were stamped late are spread from nowhere",
+        "slam/io/carmen.py",
+        "starts = np.concatenate((ends[:1], ends[:-1]))",
+        "starts = np.concatenate((ends[:1], ends[:1] + 0 * ends[:-1]))",
+        "tests/slam/io/test_carmen.py -k held_up",
+    ),
+    Mutation(
         "odometry against 3D scans: elements as wide as of dense scans, however far beams are apart",
         "slam/frontend/scan_surfaces.py",
         "max(share, 2.0 * every",

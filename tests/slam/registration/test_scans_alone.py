@@ -29,6 +29,26 @@ def test_a_hall_without_odometry_is_where_lidar_odometry_has_it(hall: Run):
     assert errors.translation_m.max() < 0.05 and np.rad2deg(errors.rotation_rad.max()) < 0.4
 
 
+@pytest.mark.parametrize("far_m, noise_m", [(10.0, 0.0), (200.0, 0.03)], ids=["near", "noisy"])
+def test_a_hall_seen_in_part_is_where_it_is_seen_whole(far_m: float, noise_m: float):
+    """A body that stood, and then turns by 60 deg, is where what it sees fits, not near where it was expected."""
+    log, rig = load(needs("balm_hall/000.pcd").parent)
+    rng = np.random.default_rng(0)
+
+    def poorer(cloud: CloudScan) -> CloudScan:
+        points = np.array(cloud.points)
+        ranges = np.linalg.norm(points, axis=-1, keepdims=True)
+        points *= 1.0 + noise_m * rng.standard_normal(ranges.shape) / np.maximum(ranges, 0.1)
+        return replace(cloud, points=np.where(ranges < far_m, points, np.nan))
+
+    scans = [CloudScan(one.stamp_ns, one.sensor, one.points) for one in log.scans() if isinstance(one, CloudScan)]
+    run = run_slam(replace(log, events=[poorer(one) for one in scans]), rig, SlamConfig())
+    reference = read_tum(needs("balm_hall/lidar_odometry.tum"))
+    errors = absolute_error(run.trajectory, Trajectory(run.trajectory.stamps_ns, reference.poses))
+    assert errors.translation_m.max() < 0.05 and np.rad2deg(errors.rotation_rad.max()) < 0.4
+    assert run.verdict.verdict == "sound"
+
+
 def test_the_halls_map_is_as_sharp_as_with_the_poses_of_lidar_odometry(hall: Run):
     """Median distance of points from the planes that at least three clouds share, to 3 %."""
     reference = read_tum(needs("balm_hall/lidar_odometry.tum"))
