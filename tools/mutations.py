@@ -428,6 +428,13 @@ MUTATIONS = (
         "tests/slam/tracking/test_odometry_check.py -k fit_as_well",
     ),
     Mutation(
+        "scans: grids of holes are searched along their rows",
+        "slam/frontend/measurement.py",
+        "elif not are_linked(np.isfinite(points[..., 0])):",
+        "elif False:",
+        "tests/slam/registration/test_scans_alone.py -k seen_in_part",
+    ),
+    Mutation(
         "places of a scan: one that nothing fits is as likely as one that is alike",
         "slam/registration/surface_registration.py",
         "return prior - less * (_TELLING + _TELLING_AS_A_SQUARE * weight * less)",

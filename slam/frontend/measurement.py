@@ -30,7 +30,7 @@ from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_covariances
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines
 from spplanes._check import FloatArray, as_float_array
-from spplanes.clouds.arrange import arrange
+from spplanes.clouds.arrange import are_linked, arrange
 from spplanes.registration import RegisteredScans, beam_directions, register_scans
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
@@ -138,7 +138,8 @@ def measured_cloud(
 ) -> ScanMeasurement:
     """Planes of one 3D scan, and all its returns as surface elements.
 
-    A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest.
+    A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest, and
+    so is one whose rows are mostly holes.
     Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
     """
     points = as_float_array("points", scan.points)  # once: a stored cloud is read each time
@@ -149,6 +150,8 @@ def measured_cloud(
         return ScanMeasurement()
     if points.ndim == 2:
         points = arrange(points, grid_of(sensor))
+    elif not are_linked(np.isfinite(points[..., 0])):
+        points = arrange(points.reshape(-1, 3))
     planes, labels = _flat_planes(points, sensor, config, segment)
     if sensor.rough_sigma_m > sensor.surface_sigma_m:
         rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})

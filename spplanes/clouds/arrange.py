@@ -30,6 +30,8 @@ _AS_GOOD = 0.95
 _CORNER_SHARE = 1.0 / 360.0
 #: A cloud has z ahead when all its points lie within 78 deg of z, their mean direction within 45 deg (cosines).
 _WITHIN, _AMID = 0.2, 0.7
+#: Returns of a grid are linked when so many of them have one beside them.
+_LEAST_LINKED = 0.75
 #: The longest row of a grid made of lines.
 _LARGEST = 4096
 
@@ -63,6 +65,13 @@ def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
     used = returns_of(np.asarray(points, dtype=np.float64))
     lines = _lines_of(used) if grid is None else None
     return range_image(used, grid) if lines is None else lines
+
+
+def are_linked(seen: np.ndarray) -> bool:
+    """Whether returns of a grid, mask (S, B), mostly lie beside others, along rows and along columns."""
+    ahead = seen[:, :-1], seen[:-1]
+    linked = seen[:, :-1] & seen[:, 1:], seen[:-1] & seen[1:]
+    return all(both.sum() >= _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True))
 
 
 def shows_lines(points: FloatArray) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import TOO_LARGE, FloatArray, as_float_array, as_positive, as_shape, check_instance
-from spplanes.clouds.arrange import arrange
+from spplanes.clouds.arrange import are_linked, arrange
 from spplanes.clouds.octree import Curve, NoiseLaw
 from spplanes.clouds.scatter import scatter_along_beams
 from spplanes.fitting.rounding import coordinate_steps
@@ -40,9 +40,9 @@ _MUCH_MORE = 3.0
 _AGREED = 0.5
 #: Beams meet their planes at most so many times farther, or nearer, than their points are.
 _FARTHER = 2.0
-#: Grids are searched along rows and columns where this share of the returns has one beside it, along both, and no more
-#: than that share errs so much that so many sigmas are farther than the distance there, taken over so many of them.
-_LEAST_LINKED, _MOST_BLURRED, _BLURRED, _STEPS = 0.75, 0.05, 2.0, 8
+#: Grids whose returns are linked are searched along rows and columns where no more than this share of them errs so much
+#: that so many sigmas are farther than the distance there, taken over so many of them.
+_MOST_BLURRED, _BLURRED, _STEPS = 0.05, 2.0, 8
 
 
 @dataclass(frozen=True)
@@ -207,9 +207,7 @@ class _Job:
 
         Where noise is wider than that, the returns beside one are not those that are nearest to it.
         """
-        ahead = self.seen[:, :-1], self.seen[:-1]
-        linked = self.seen[:, :-1] & self.seen[:, 1:], self.seen[:-1] & self.seen[1:]
-        if any(both.sum() < _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True)):
+        if not are_linked(self.seen):
             return False
         grid, curve, _, variances = self._grid
         here = np.isfinite(grid[..., 0])

@@ -29,8 +29,12 @@ def test_a_hall_without_odometry_is_where_lidar_odometry_has_it(hall: Run):
     assert errors.translation_m.max() < 0.05 and np.rad2deg(errors.rotation_rad.max()) < 0.4
 
 
-@pytest.mark.parametrize("far_m, noise_m", [(10.0, 0.0), (200.0, 0.03)], ids=["near", "noisy"])
-def test_a_hall_seen_in_part_is_where_it_is_seen_whole(far_m: float, noise_m: float):
+@pytest.mark.parametrize(
+    "far_m, noise_m, kept",
+    [(10.0, 0.0, 1.0), (200.0, 0.03, 1.0), (200.0, 0.0, 0.2)],
+    ids=["near", "noisy", "mostly holes"],
+)
+def test_a_hall_seen_in_part_is_where_it_is_seen_whole(far_m: float, noise_m: float, kept: float):
     """A body that stood, and then turns by 60 deg, is where what it sees fits, not near where it was expected."""
     log, rig = load(needs("balm_hall/000.pcd").parent)
     rng = np.random.default_rng(0)
@@ -39,7 +43,8 @@ def test_a_hall_seen_in_part_is_where_it_is_seen_whole(far_m: float, noise_m: fl
         points = np.array(cloud.points)
         ranges = np.linalg.norm(points, axis=-1, keepdims=True)
         points *= 1.0 + noise_m * rng.standard_normal(ranges.shape) / np.maximum(ranges, 0.1)
-        return replace(cloud, points=np.where(ranges < far_m, points, np.nan))
+        seen = (ranges < far_m) & (rng.random(ranges.shape) < kept)
+        return replace(cloud, points=np.where(seen, points, np.nan))
 
     scans = [CloudScan(one.stamp_ns, one.sensor, one.points) for one in log.scans() if isinstance(one, CloudScan)]
     run = run_slam(replace(log, events=[poorer(one) for one in scans]), rig, SlamConfig())
