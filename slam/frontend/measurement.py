@@ -138,8 +138,6 @@ def measured_cloud(
 ) -> ScanMeasurement:
     """Planes of one 3D scan, and all its returns as surface elements.
 
-    A scan without order is seen as lines or a range image first, as wide as the rig says, or as its points suggest, and
-    so is one whose rows are mostly holes.
     Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
     """
     points = as_float_array("points", scan.points)  # once: a stored cloud is read each time
@@ -148,10 +146,7 @@ def measured_cloud(
     points = usable_points(points, sensor)
     if not np.isfinite(points).any():
         return ScanMeasurement()
-    if points.ndim == 2:
-        points = arrange(points, grid_of(sensor))
-    elif not are_linked(np.isfinite(points[..., 0])):
-        points = arrange(points.reshape(-1, 3))
+    points = in_rows(points, sensor)
     planes, labels = _flat_planes(points, sensor, config, segment)
     if sensor.rough_sigma_m > sensor.surface_sigma_m:
         rough = sensor.model_copy(update={"surface_sigma_m": sensor.rough_sigma_m})
@@ -163,6 +158,17 @@ def measured_cloud(
     observations = [PlaneObservation(plane.transform(sensor.body_T_sensor)) for plane in planes]
     observations = sorted(observations, key=lambda seen: -seen.n_points)
     return ScanMeasurement(observations, surfaces_of(points, labels, hesse, sensor))
+
+
+def in_rows(points: FloatArray, sensor: Sensor) -> FloatArray:
+    """Points of a scan, (N, 3) or (S, B, 3), as a grid with neighbours in a row, shape (S, B, 3); NaN = no return.
+
+    A scan without order is seen as lines or a range image, as wide as the rig says, or as its points suggest; so is a
+    grid that is mostly holes, as its points suggest.
+    """
+    if points.ndim == 2:
+        return arrange(points, grid_of(sensor))
+    return points if are_linked(np.isfinite(points[..., 0])) else arrange(points.reshape(-1, 3))
 
 
 def _flat_planes(

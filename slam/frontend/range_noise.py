@@ -17,14 +17,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from slam.errors import LogError
-from slam.frontend.measurement import usable_points
+from slam.frontend.measurement import in_rows, usable_points
 from slam.frontend.warp_calibration import with_warp
-from slam.io.clouds.cloud import grid_of
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from slam.sensors.scan_noise import shown_by_lines, with_beam_sigma
 from spplanes._check import FloatArray
-from spplanes.clouds.arrange import arrange
 from spplanes.clouds.scatter import misses_of
 
 #: Clouds of a sensor that are looked at, more of the first than of the last.
@@ -126,7 +124,7 @@ def _grids(scans: Sequence[LaserScan | CloudScan], sensor: Sensor) -> list[Float
     for index in np.unique(np.geomspace(1.0, len(scans), _CLOUDS).astype(int)) - 1:
         try:
             points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
-            found.append(points if points.ndim == 3 else arrange(points, grid_of(sensor)))
+            found.append(in_rows(points, sensor))
         except (LogError, ValueError):
             continue
     return found

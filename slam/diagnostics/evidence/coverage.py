@@ -107,9 +107,9 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
         if one.part != "position":
             continue
         sigmas = {frame: sigma_along("position", one.direction, frame, run.backend) for frame in one.keyframes}
-        wide = tuple(frame for frame, sigma in sigmas.items() if sigma > PROMISED_M and frame >= min(assumed))
-        since = _adrift_since(run, one.direction, assumed) if wide else np.inf
-        wide = tuple(frame for frame in wide if frame >= since)
+        unsure = [frame for frame, sigma in sigmas.items() if sigma > PROMISED_M]
+        since = _adrift_since(run, one.direction, assumed) if unsure else np.inf
+        wide = tuple(frame for frame in unsure if frame >= since)
         if wide:
             worst = max(wide, key=lambda frame: sigmas[frame])
             yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
