@@ -47,13 +47,14 @@ WEAK_M, WEAK_RAD = 10.0, 3.0
 WEAK_PRIOR = np.diag(np.repeat([WEAK_RAD, WEAK_M], 3) ** -2.0)
 #: A place is told from others by the share of what is seen that fits there, less so many times the share that
 #: contradicts: what a keyframe saw through is not there, while what it did not see may be.
-_CONTRADICTION = 5.8
-#: One that is better by one is likelier by so much, as a logarithm; and, by the square of that, by so much of each thing
-#: that is seen. Places that were proposed for being alike differ by little, in all that is seen together; one that fits
-#: much worse would do so by chance in thing after thing. All three by logistic regression of the true place and the
-#: others at which each of 672 scans came to rest (23 drives with lidars and depth cameras, seeds 270000 to 270032, a
-#: real hall and a real camera, as they are and made worse).
-_TELLING, _TELLING_AS_A_SQUARE = 14.0, 0.45
+_CONTRADICTION = 4.0
+#: One that is better by one is likelier by so much, as a logarithm; and, by the square of that, by so much of each
+#: thing that is seen. Places that were proposed for being alike differ by little, in all that is seen together; one
+#: that fits much worse would do so by chance in thing after thing. All three by logistic regression of the true place
+#: and the others at which each of 672 scans came to rest (lidars and depth cameras of 23 drives, seeds 270000 to
+#: 270032, a real hall and a real camera, as they are and made worse): the loss is 4.7 nats, of what the newest keyframe
+#: alone saw through 12, and 45 where what contradicts counts once. From 3 to 6 times the loss is about the same.
+_TELLING, _TELLING_AS_A_SQUARE = 20.0, 0.33
 #: The same of each thing, of places none of which was proposed for being alike: scores differ by chance the less, the
 #: more is seen. (0.70 by 577 other scans, 0.96 by the 292 of them whose seeds had not been looked at.)
 _TELLING_OF_A_THING = 0.8

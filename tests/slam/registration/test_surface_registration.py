@@ -183,7 +183,7 @@ def test_nothing_is_seen_through_from_the_true_place_wherever_the_sensor_sits() 
     known = LocalMap([(np.eye(4), corridor(np.eye(4)))])
     for metres, turn in ((0.25, 0.0), (0.5, 0.0), (1.25, 0.0), (0.25, 0.4)):
         seen = corridor(ahead(metres, turn))
-        assert known.contradicted(ahead(metres, turn), seen.elements[:, :3], 100.0, seen) < 0.015
+        assert known.contradicted(ahead(metres, turn), seen.elements[:, :3], seen) < 0.015
 
 
 @pytest.mark.parametrize("metres", [0.0, 0.5])
@@ -196,8 +196,9 @@ def test_somebody_close_by_speaks_against_a_place_as_one_thing(metres: float) ->
     for points in (body, board):
         facing = np.tile((-1.0, 0.0, 0.0, 0.003, ON_NO_PLANE), (len(points), 1))
         seen = np.vstack((behind.elements, with_widths(np.hstack((points, facing)))))
-        told.append(empty.contradicted(ahead(metres), points, 100.0, scan(seen, EYE)))
-    assert len(body) > 0.25 * len(behind.elements) and told[0] == pytest.approx(0.01) and told[1] >= 0.04
+        all_seen = scan(seen, EYE)
+        told.append(empty.contradicted(ahead(metres), points, all_seen) * all_seen.weights.sum())
+    assert len(body) > 0.25 * len(behind.elements) and told[0] == pytest.approx(1.0) and told[1] >= 4.0
 
 
 def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:
