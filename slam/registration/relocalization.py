@@ -35,6 +35,10 @@ _WIDE_M, _WIDE_RAD = 0.25, 0.12
 _RECENT = 6
 #: What least squares over pairs leaves out, segmentation above all, against its covariance: factor, and least, m, rad.
 _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
+#: Turns by 14 deg about each axis, either way: a descent finds back from about half of that.
+_TURNED = [
+    gtsam.Pose3(gtsam.Rot3.Expmap(turn), np.zeros(3)).matrix() for turn in 0.25 * np.vstack((np.eye(3), -np.eye(3)))
+]
 #: Probability that two that are one place are taken for two.
 _SIGNIFICANCE = 1e-3
 
@@ -196,9 +200,14 @@ def _learnt(motion: Motion, prior: MotionPrior | None, known_T_seen: FloatArray,
 def register_from_hypotheses(
     scan: Scan, known: LocalMap, by_planes: PlaneMatching | None, expected: Expected, still: FloatArray
 ) -> Alignment:
-    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved."""
-    proposed = [] if by_planes is None else [by_planes.known_T_seen]
-    return align(scan, known, [*proposed, expected.known_T_seen, still], expected)
+    """A scan laid on a local map from where planes propose, from what is expected, and as if nothing moved.
+
+    Where planes propose nothing, also from what is expected turned about each axis: a hand turns a camera by more in an
+    image than a descent finds back from.
+    """
+    there = expected.known_T_seen
+    proposed = [there @ turn for turn in _TURNED] if by_planes is None else [by_planes.known_T_seen]
+    return align(scan, known, [*proposed, there, still], expected)
 
 
 def _rivals(found: Alignment, covariance: FloatArray) -> Rivals:
