@@ -693,6 +693,20 @@ MUTATIONS = (
         "if True:",
         "tests/slam/tracking/test_constant_velocity.py",
     ),
+    Mutation(
+        "registration: only the newest keyframe speaks against a place",
+        "slam/registration/surface_registration.py",
+        "told[name] -= _CONTRADICTION * known.contradicted(distinct[name], fit.alone, scan)",
+        "told[name] -= _CONTRADICTION * known.contradicted(distinct[name], fit.alone, scan, latest=1)",
+        "tests/slam/registration/test_surface_registration.py",
+    ),
+    Mutation(
+        "registration: a scan is laid from what is expected and from where nothing moved alone",
+        "slam/registration/relocalization.py",
+        "proposed = [there @ turn for turn in _TURNED] if by_planes is None",
+        "proposed = [] if by_planes is None",
+        "tests/slam/registration/test_surface_registration.py",
+    ),
 )
 
 

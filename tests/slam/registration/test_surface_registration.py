@@ -12,7 +12,7 @@ from slam.frontend.keyframes import keyframes_of
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import negative_log_prior
-from slam.registration.relocalization import NO_RIVALS, _on, _rivals, scan_of
+from slam.registration.relocalization import NO_RIVALS, _on, _rivals, register_from_hypotheses, scan_of
 from slam.registration.surface_registration import Correspondences, Expected, LocalMap, Residuals, Tried, align
 from slam.registration.visibility import Scan
 from slam.simulation import simulate_mission
@@ -199,6 +199,36 @@ def test_somebody_close_by_speaks_against_a_place_as_one_thing(metres: float) ->
         all_seen = scan(seen, EYE)
         told.append(empty.contradicted(ahead(metres), points, all_seen) * all_seen.weights.sum())
     assert len(body) > 0.25 * len(behind.elements) and told[0] == pytest.approx(1.0) and told[1] >= 4.0
+
+
+def test_what_any_keyframe_saw_through_speaks_against_a_place() -> None:
+    """A board along the side of a corridor, that the newest keyframe, farther back, looked away from."""
+    aside = ahead(-3.0, np.pi / 2)
+    known = LocalMap([(np.eye(4), corridor(np.eye(4))), (aside, corridor(aside))])
+    x, y, z = np.meshgrid(np.linspace(2.0, 3.0, 12), 0.7, np.linspace(0.6, 1.8, 15))
+    board = np.column_stack((x.ravel(), y.ravel(), z.ravel()))
+    facing = np.tile((0.0, -1.0, 0.0, 0.003, ON_NO_PLANE), (len(board), 1))
+    seen = Scan(np.vstack((corridor(ahead(1.5)).elements, with_widths(np.hstack((board, facing))))), EYE)
+    assert known.contradicted(np.eye(4), board, seen, latest=1) == 0.0 < known.contradicted(np.eye(4), board, seen)
+    found = align(seen, known, [np.eye(4), ahead(1.5)])
+    np.testing.assert_allclose(found.known_T_seen, ahead(1.5), atol=0.01)  # walls have more in common where it started
+
+
+def test_a_camera_that_turned_by_more_than_a_descent_finds_back_from_is_found() -> None:
+    rng = np.random.default_rng(3)
+    known, turned = (
+        measured(FIRST, rng).surfaces,
+        gtsam.Pose3(gtsam.Rot3.Yaw(0.35), np.array([0.02, 0.03, 0.0])).matrix(),
+    )
+    seen = measured(FIRST @ turned, rng).surfaces
+    assert known is not None and seen is not None
+    there, expected = (
+        LocalMap([(np.eye(4), scan(known))]),
+        Expected(np.eye(4), np.diag(np.repeat([0.3, 0.2], 3) ** -2.0)),
+    )
+    found = register_from_hypotheses(scan(seen), there, None, expected, np.eye(4))
+    assert np.linalg.norm(off(found.known_T_seen, turned)[3:]) < 0.01
+    assert np.linalg.norm(off(align(scan(seen), there, [np.eye(4)], expected).known_T_seen, turned)[3:]) > 0.1
 
 
 def test_what_stands_before_a_surface_that_was_seen_is_seen_through() -> None:

@@ -78,12 +78,20 @@ def test_the_audit_finds_the_covariances_honest(corridors):
     assert_honest(corridors, 250)
 
 
-def test_a_camera_carried_by_hand_is_where_motion_capture_has_it():
-    """Where little stands on a floor, most of an image fits wherever the camera may have gone: images 11 and 17."""
+@pytest.mark.parametrize(
+    ("images", "worst_m"),
+    [
+        (slice(19), 0.1),
+        (slice(None, None, 4), 0.05),
+    ],  # 0.3 m where the floor counts by its area; turned by 20 to 40 deg
+)
+def test_a_camera_carried_by_hand_is_where_motion_capture_has_it(images: slice, worst_m: float):
+    """Where little stands on a floor, most of an image fits wherever the camera may have gone."""
     log, rig = load(needs("tum_fr3_cabinet"))
-    run = run_slam(replace(log, events=list(log.events)[:19]), rig, SlamConfig())
+    events = list(log.events)[images]
+    run = run_slam(replace(log, events=events), rig, SlamConfig())
     truth, stamps = read_tum(needs("tum_fr3_cabinet/truth/groundtruth.txt")), run.trajectory.stamps_ns
     error = absolute_error(run.trajectory, Trajectory(stamps, truth.poses_at(stamps.tolist()) @ inverse(CAMERA_MOUNT)))
-    assert len(stamps) == 19
-    assert error.translation_m.max() < 0.1  # 0.3 m and 13 deg off where the floor counts by its area
+    assert len(stamps) == len(events)
+    assert error.translation_m.max() < worst_m
     assert np.rad2deg(error.rotation_rad.max()) < 3.5
