@@ -9,7 +9,6 @@ import json
 import struct
 from collections.abc import Sequence
 from dataclasses import fields
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -52,18 +51,7 @@ _NUMBERS = {
 }
 _LENGTH = struct.Struct("<I")
 #: Written as they are.
-_PLAIN = {bool, int, float, str, type(None)}
-#: What is put together of others, and read as it was written.
-_READ_AS_THEY_ARE = {
-    np.ndarray,
-    tuple,
-    list,
-    dict,
-    shapely.Polygon,
-    shapely.MultiPolygon,
-    shapely.LineString,
-    shapely.Point,
-}
+_PLAIN = (bool, int, float, str, type(None))
 #: The fields of each class, in order.
 _FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _CLASSES.values()}
 
@@ -80,23 +68,14 @@ class CodecError(ValueError):
 
 
 def encode(value: Any) -> bytes:
-    """A value out of plain numbers, strings, lists, tuples, dicts, arrays, shapely geometries and the known classes."""
-    return encode_and_compare(value)[0]
-
-
-def encode_and_compare(value: Any) -> tuple[bytes, bool]:
-    """A value as `encode` writes it, and whether `decode` is known to make the very same of it.
-
-    It does not of what is no array in C order, of a class derived from the known ones, of numbers of numpy, and of what
-    the known classes put right when they are made.
+    """A value out of plain numbers, strings, lists, tuples, dicts, arrays, shapely geometries and the known classes.
 
     Raises:
         ValueError: a field of a known class holds something else than the class states; a value there is no form for.
     """
     buffers: list[bytes] = []
-    writer = _Writer(buffers)
-    text = json.dumps(writer.plain(value), separators=(",", ":")).encode()
-    return b"".join((_LENGTH.pack(len(text)), text, *buffers)), writer.same
+    text = json.dumps(_Writer(buffers).plain(value), separators=(",", ":")).encode()
+    return b"".join((_LENGTH.pack(len(text)), text, *buffers))
 
 
 def decode(data: bytes, hint: Any = None) -> Any:
@@ -143,22 +122,16 @@ class _Writer:
     def __init__(self, buffers: list[bytes]) -> None:
         self._buffers = buffers
         self._end = 0
-        #: Whether all that was written so far will be read as it was.
-        self.same = True
 
     def plain(self, value: Any) -> Any:
         kind = type(value)
-        if kind in _PLAIN:
-            return value
         if kind in _FIELDS:
             check_fields(kind.__name__, value)  # as the reader will: what it would refuse must not be written
-            self.same &= _stays(value)
             content = {one: self.plain(getattr(value, one)) for one in _FIELDS[kind]}
             return {"class": kind.__name__, "fields": content}
-        self.same &= kind in _READ_AS_THEY_ARE
         if isinstance(value, np.ndarray):
             return {"array": self._array(value)}
-        if isinstance(value, bool | int | float | str):
+        if isinstance(value, _PLAIN):
             return value
         if isinstance(value, np.generic):
             return self.plain(value.item())
@@ -177,26 +150,15 @@ class _Writer:
         raise CodecError(f"expected a measurement that a session knows, got {kind.__name__}")
 
     def _array(self, value: np.ndarray) -> list[Any]:
-        name = value.dtype.str
-        little = name.replace(">", "<")
+        little = value.dtype.str.replace(">", "<")
         if little not in _NUMBERS:
             raise CodecError(f"expected an array of numbers, got one of {value.dtype}")
-        self.same &= little == name and value.flags.c_contiguous
-        if little != name:
-            value = value.astype(little)
-        return [little, list(value.shape), *self._put(value.tobytes())]
+        return [little, list(value.shape), *self._put(value.astype(little, copy=False).tobytes())]
 
     def _put(self, data: bytes) -> list[int]:
         start, self._end = self._end, self._end + len(data)
         self._buffers.append(data)
         return [start, len(data)]
-
-
-def _stays(value: Any) -> bool:
-    """Whether a value of a known class is one that its constructor leaves as it is."""
-    if type(value) is Plane:
-        return value.covariance.tobytes() == value.covariance.T.tobytes()
-    return type(value) is not ScanLine or (-pi < value.alpha <= pi and value.indices.dtype == np.int64)
 
 
 class _Reader:

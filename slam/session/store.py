@@ -15,7 +15,7 @@ from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe
 from slam.map.data_association import Decision
 from slam.sensors.rig import Rig
-from slam.session._codec import encode, encode_and_compare, keyframe_of, without_scans
+from slam.session._codec import encode, keyframe_of, without_scans
 from slam.session._file import (
     SessionDamaged,
     SessionError,
@@ -108,8 +108,8 @@ class Session(SessionRecords):
             keyframe: with its raw scans.
             scans: place in the log and content of each of them, as far as they are to be kept.
         """
-        index, (data, same) = self._size, encode_and_compare(without_scans(keyframe))
-        read = replace(keyframe, scans=()) if same else keyframe_of(data)  # before it is written: it can be read
+        index, data = self._size, encode(without_scans(keyframe))
+        read = keyframe_of(data)  # before it is written: it can be read
         checksum = digest(self._last, index, keyframe.stamp_ns, data)
         with self._writing():
             self._db.execute(

@@ -6,6 +6,7 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -335,3 +336,42 @@ def test_a_reader_killed_while_a_run_writes(tmp_path: Path, closed_first: bool):
     assert [one.name for one in tmp_path.iterdir()] == ["session.db"]
     with Session.open(path, read_only=True) as session:
         assert [entry.keyframe.stamp_ns for entry in session.entries()] == [frame.stamp_ns for frame in frames]
+
+
+LINE = ScanLine(0.3, 2.0, 1e-4 * np.eye(2), np.eye(2), np.arange(3))
+
+
+def seen(**line: Any) -> LineObservation:
+    return LineObservation(replace(LINE, **line), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"notes": "dusty"},
+        {"notes": (1,)},
+        {"observations": [seen(dof=8.0)]},
+        {"observations": [seen(dof=np.float64(8))]},
+        {"observations": [seen(chi2=np.array(8.0))]},
+        {"observations": [seen(dof=np.int64(8))]},
+        {"observations": (seen(),)},
+        {"returns": np.zeros((2, 4), dtype=bool)},
+        {"returns": np.zeros((2, 4), dtype=int)},
+        {"notes": ("dusty",)},
+    ],
+    ids=str,
+)
+def test_a_session_holds_nothing_that_it_cannot_read(change: dict[str, Any], tmp_path: Path):
+    """A keyframe is accepted and read again, or refused with a sentence and leaves no trace."""
+    first, second, third = drive(0, count=3).keyframes
+    with PlaneSlam.open(tmp_path / "session.db", SlamConfig()) as slam:
+        slam.add_keyframe(first)
+        try:
+            slam.add_keyframe(replace(second, **change))
+        except ValueError as error:
+            assert "\n" not in str(error)
+        count = len(slam.keyframes)
+        slam.add_keyframe(third)
+    with PlaneSlam.open(tmp_path / "session.db") as again:
+        assert len(again.keyframes) == count + 1
+        assert again.keyframes[count].stamp_ns == third.stamp_ns
