@@ -395,7 +395,7 @@ MUTATIONS = (
     Mutation(
         "session: decisions are not compared with those recorded",
         "slam/session/replay.py",
-        "            _check_same(self.session, index, recorded, decisions)\n",
+        '            _check_same(f"{self.session.path}: keyframe {index}", recorded, decisions)\n',
         "            pass\n",
         "tests/slam/session/test_store.py::test_decisions_are_recorded_and_compared",
     ),

@@ -73,17 +73,13 @@ def encode(value: Any) -> bytes:
     Raises:
         ValueError: a field of a known class holds something else than the class states; a value there is no form for.
     """
-    buffers: list[bytes] = []
-    text = json.dumps(_Writer(buffers).plain(value), separators=(",", ":")).encode()
-    return b"".join((_LENGTH.pack(len(text)), text, *buffers))
+    writer = _Writer()
+    text = json.dumps(writer.plain(value), separators=(",", ":")).encode()
+    return b"".join((_LENGTH.pack(len(text)), text, *writer.buffers))
 
 
 def decode(data: bytes, hint: Any = None) -> Any:
-    """Inverse of `encode`; arrays are C-contiguous copies of their own.
-
-    Args:
-        data: the bytes.
-        hint: type of what they should be, as annotations state it; None: whatever `encode` takes.
+    """Inverse of `encode`; arrays are C-contiguous copies of their own. `hint`: type of what it should be, or anything.
 
     Raises:
         CodecError: the bytes are not of this form, name a class that is none of ours, or make no such object.
@@ -119,8 +115,8 @@ def keyframe_of(data: bytes) -> Keyframe:
 
 
 class _Writer:
-    def __init__(self, buffers: list[bytes]) -> None:
-        self._buffers = buffers
+    def __init__(self) -> None:
+        self.buffers: list[bytes] = []
         self._end = 0
 
     def plain(self, value: Any) -> Any:
@@ -157,7 +153,7 @@ class _Writer:
 
     def _put(self, data: bytes) -> list[int]:
         start, self._end = self._end, self._end + len(data)
-        self._buffers.append(data)
+        self.buffers.append(data)
         return [start, len(data)]
 
 
@@ -184,9 +180,8 @@ class _Reader:
             made = _CLASSES[content](**{key: self.value(one) for key, one in plain["fields"].items()})
             check_fields(content, made)
             return made
-        raise CodecError(
-            f"expected a record of a session, got an unknown {str(content if kind == 'class' else kind)!r:.60}"
-        )
+        unknown = content if kind == "class" else kind
+        raise CodecError(f"expected a record of a session, got an unknown {str(unknown)!r:.60}")
 
     def _shape(self, start: int, size: int) -> Any:
         with np.errstate(invalid="ignore"):  # a NaN that signals

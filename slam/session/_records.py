@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from slam.sensors.rig import Rig
 from slam.session._codec import CodecError, decode, keyframe_of
 from slam.session._file import SessionDamaged, SessionError, digest, translated
 from slam.session.opening import OpenFile
-from spplanes._check import FloatArray, as_transform
+from spplanes._check import as_transform
 
 #: Places by the keyframe that stands near them.
 Places = Mapping[int, Sequence[PlaceMatch]]
@@ -69,9 +69,10 @@ class SessionRecords:
             raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
         self.prior = parameters["prior"]
         #: Places found after the drive, by the keyframe that stands near them; a keyframe is read with its own.
-        self.places = self._read_places()
+        places = partial(decode, hint=list[tuple[int, tuple[PlaceMatch, ...]]])
+        self.places = dict(self._found("places", "places that were found", places) or ())
         #: Start in the prior map, shape (4, 4), found after the drive; None: the one that the prior map says.
-        self.start = self._read_start()
+        self.start = self._found("start", "a start that was found", lambda data: as_transform("start", decode(data)))
         self._last = b""
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
         if damaged:  # nobody knows how many there were
@@ -101,11 +102,7 @@ class SessionRecords:
         return json.loads(self._read("session", "log") or b"null")
 
     def entries(self) -> Iterator[Entry]:
-        """All keyframes with their decisions, in order.
-
-        Raises:
-            SessionDamaged: at the first record that is not what was written; those before it have been given.
-        """
+        """All keyframes with their decisions, in order, up to a SessionDamaged at what is not as it was written."""
         for index in range(self._size):
             yield Entry(self.keyframe(index), self.decisions(index))
 
@@ -117,19 +114,13 @@ class SessionRecords:
         measured = self._checked(keyframe_of, row[1], index)
         return replace(measured, places=self.places[index]) if index in self.places else measured
 
-    def _read_places(self) -> dict[int, tuple[PlaceMatch, ...]]:
-        data = self._read("session", "places")
+    def _found(self, key: str, what: str, read: Callable[[bytes], Any]) -> Any:
+        """What was found after the drive; None: nothing was."""
+        data = self._read("session", key)
         try:
-            return {} if data is None else dict(decode(data, list[tuple[int, tuple[PlaceMatch, ...]]]))
-        except CodecError as error:
-            raise SessionError(f"{self.path}: expected places that were found, got something else ({error})") from error
-
-    def _read_start(self) -> FloatArray | None:
-        data = self._read("session", "start")
-        try:
-            return None if data is None else as_transform("start", decode(data))
+            return None if data is None else read(data)
         except ValueError as error:  # as a CodecError is
-            raise SessionError(f"{self.path}: expected a start that was found, got something else ({error})") from error
+            raise SessionError(f"{self.path}: expected {what}, got something else ({error})") from error
 
     def decisions(self, index: int) -> list[Decision] | None:
         """What the measurements of a keyframe were taken for; None: not recorded."""
@@ -194,7 +185,7 @@ class SessionRecords:
             raise self._damaged(index)
         return row[0]
 
-    def _checked(self, read: Any, data: bytes, index: int) -> Any:
+    def _checked(self, read: Callable[[bytes], Any], data: bytes, index: int) -> Any:
         try:
             return read(data)
         except CodecError as error:

@@ -26,6 +26,8 @@ from slam.session._file import (
 
 #: Name of the session in the folder of a run.
 SESSION_FILE = "session.db"
+#: What the name of its lock ends with.
+_LOCK = "-lock"
 #: Room for the pages after which SQLite folds the journal back into the file, bytes, with their heads.
 _ROOM = 32 + 1100 * (24 + 4096)
 
@@ -63,7 +65,7 @@ def writing(path: Path) -> Iterator[int]:
     Raises:
         SessionError: somebody else is, or the lock's file cannot be made.
     """
-    lock, process = _lock_of(path), os.getpid()
+    lock, process = path.with_name(path.name + _LOCK), os.getpid()
     try:
         handle = _locked(lock)
     except BlockingIOError as error:
@@ -93,10 +95,6 @@ def promise(lock: int, keyframes: int) -> None:
             os.pwrite(lock, keyframes.to_bytes(8, "little"), 0)
         else:
             os.ftruncate(lock, 0)
-
-
-def _lock_of(path: Path) -> Path:
-    return path.with_name(path.name + "-lock")
 
 
 def _locked(lock: Path) -> int:
@@ -195,7 +193,7 @@ def _roll_back(path: Path) -> None:
 def _check_promise(path: Path) -> None:
     """Refuse a session without keyframes that were committed: a writer that comes to open it would forget them."""
     try:
-        promised = int.from_bytes(_lock_of(path).read_bytes()[:8], "little")
+        promised = int.from_bytes(path.with_name(path.name + _LOCK).read_bytes()[:8], "little")
     except FileNotFoundError:
         return
     except OSError as error:

@@ -96,10 +96,7 @@ class PriorMap:
             ValueError: no such file, no finished run, no planes.
         """
         path = Path(path)
-        if path.suffix == ".json":
-            planes, covariance = _independent(path)
-        else:
-            planes, covariance = _of_run(path)
+        planes, covariance = _independent(path) if path.suffix == ".json" else _of_run(path)
         if not planes:
             raise LogError(path, "expected a map with planes, got none")
         start = np.eye(4) if world_T_start is None else world_T_start
@@ -118,16 +115,12 @@ class PriorMap:
 
     def plant(self, landmarks: LandmarkMap, backend: Backend) -> None:
         """Put the planes into an empty graph and an empty map as landmarks, with their joint prior."""
-        values, keys = gtsam.Values(), []
+        values, keys = gtsam.Values(), [gtsam.symbol("p", known.id) for known in self.planes]
         values.insert(MAP_KEY, gtsam.Pose3())
-        for known in self.planes:
-            key = gtsam.symbol("p", known.id)
-            values.insert(key, plane_landmark(known.plane))
-            keys.append(key)
-            seen, frame = max(known.observations, 2), known.plane.frame
-            landmarks.plant(
-                Landmark(known.id, key, MAP_KEY, frame, known.seen, n_points=known.plane.n_points, known=seen)
-            )
+        for key, one in zip(keys, self.planes, strict=True):
+            plane, known = one.plane, max(one.observations, 2)
+            values.insert(key, plane_landmark(plane))
+            landmarks.plant(Landmark(one.id, key, MAP_KEY, plane.frame, one.seen, n_points=plane.n_points, known=known))
         factors = [
             pose_prior(MAP_KEY, np.eye(4), _EXACT**2 * np.eye(6)),
             map_prior([known.plane for known in self.planes], keys, self.covariance),

@@ -62,12 +62,7 @@ class Recorder:
 
 
 class SecondPass(Recorder):
-    """Listens to keyframes that another recorder has, as they are matched anew; of those that follow it tells that one.
-
-    Args:
-        first: the recorder.
-        count: keyframes that it has.
-    """
+    """Listens to the `count` keyframes that `first` has, as they are matched anew; of those that follow it tells it."""
 
     def __init__(self, first: Recorder, count: int) -> None:
         self._first, self._count = first, count
@@ -121,7 +116,7 @@ class SessionRecorder(Recorder):
         """Commit decisions, or compare them with those committed."""
         recorded = self.session.decisions(index) if index < len(self.session) else None
         if recorded is not None:
-            _check_same(self.session, index, recorded, decisions)
+            _check_same(f"{self.session.path}: keyframe {index}", recorded, decisions)
         elif not self.session.read_only:
             self.session.add_decisions(index, decisions)
 
@@ -169,17 +164,13 @@ def is_measured_again(session: Session, index: int, keyframe: Keyframe) -> bool:
     return encode(again) == encode(before)
 
 
-def _check_same(session: Session, index: int, recorded: Sequence[Decision], decisions: Sequence[Decision]) -> None:
+def _check_same(where: str, recorded: Sequence[Decision], decisions: Sequence[Decision]) -> None:
     for before, now in zip(recorded, decisions, strict=False):
         if _choice(before) != _choice(now) or not np.allclose(_numbers(before), _numbers(now), rtol=_SAME, atol=_SAME):
-            raise SessionError(
-                f"{session.path}: keyframe {index}, observation {now.observation}: recorded as {_say(before)}, "
-                f"decided again as {_say(now)}; go on with the version that began it"
-            )
+            change = f"recorded as {_say(before)}, decided again as {_say(now)}; go on with the version that began it"
+            raise SessionError(f"{where}, observation {now.observation}: {change}")
     if len(recorded) != len(decisions):
-        raise SessionError(
-            f"{session.path}: keyframe {index}: expected {len(recorded)} decisions, got {len(decisions)}"
-        )
+        raise SessionError(f"{where}: expected {len(recorded)} decisions, got {len(decisions)}")
 
 
 def _choice(decision: Decision) -> tuple[Any, ...]:

@@ -104,9 +104,7 @@ class Session(SessionRecords):
     def add_keyframe(self, keyframe: Keyframe, scans: Sequence[tuple[int | None, bytes | None]] = ()) -> Keyframe:
         """Record measurements; returns the keyframe as it will be read, without its scans: what to work with.
 
-        Args:
-            keyframe: with its raw scans.
-            scans: place in the log and content of each of them, as far as they are to be kept.
+        `scans`: place in the log and content of each of its raw scans, as far as they are to be kept.
         """
         index, data = self._size, encode(without_scans(keyframe))
         read = keyframe_of(data)  # before it is written: it can be read
@@ -212,10 +210,7 @@ def salvage_session(path: Path | str) -> str:
     """Make a session of the longest valid beginning of a damaged one, in its place; the old one stays beside it.
 
     Decisions, raw scans and parameters come along. A session without damage is left as it is. Returns a sentence on
-    what was wrong and how many keyframes the session has now.
-
-    Raises:
-        SessionError: nothing of it can be read, or another process writes it.
+    what was wrong and how many keyframes it has now; a SessionError where nothing of it can be read or others write it.
     """
     path = session_path(path)
     check_session_given(path)
@@ -264,13 +259,14 @@ def _copy_beginning(path: Path, target: Path) -> int:
             except SessionDamaged:
                 break
             scans: tuple[RawScan, ...] = ()
-            decisions = None
             with suppress(SessionDamaged):  # raw scans are beside the point
                 scans = tuple(old.scans(index))
             contents = [(scan.position, None if scan.scan is None else encode(scan.scan)) for scan in scans]
             new.add_keyframe(replace(keyframe, scans=scans), contents)  # type: ignore[arg-type]  # they know as much
-            with suppress(SessionDamaged):  # they will be made again
+            try:
                 decisions = old.decisions(index)
+            except SessionDamaged:  # they will be made again
+                break
             if decisions is None:
                 break
             new.add_decisions(index, decisions)
