@@ -184,12 +184,13 @@ def read_rows(path: Path, *, columns: int, stamp_columns: int = 0) -> tuple[np.n
     rows: list[list[float]] = []
     lines: list[int] = []
     for number, words in numbered_words(path):
-        check_count(path, words, columns, number)
-        try:
-            stamps.append([nanoseconds(word) for word in words[:stamp_columns]])
-        except ValueError as error:
-            raise LogError(path, f"expected numbers ({error})", line=number) from error
-        rows.append(floats_of(path, words[stamp_columns:], number))
+        with line_named(path, number):
+            _check_count(words, columns)
+            try:
+                stamps.append([nanoseconds(word) for word in words[:stamp_columns]])
+            except ValueError as error:
+                raise ValueError(f"expected numbers ({error})") from error
+            rows.append(floats_of(words[stamp_columns:]))
         lines.append(number)
     if not rows:
         raise LogError(path, "expected at least one line of numbers, got none")
@@ -222,8 +223,9 @@ def text_rows(
     for number, line in enumerate(lines, start=first_line):
         if line.strip():
             words = line.split(separator)
-            check_count(path, words, columns, number)
-            slow.append(floats_of(path, words, number, finite=finite, separator=separator))
+            with line_named(path, number):
+                _check_count(words, columns)
+                slow.append(floats_of(words, finite=finite, separator=separator))
     return np.array(slow, dtype=np.float64).reshape(-1, columns)
 
 
@@ -261,24 +263,28 @@ def numbered_words(path: Path) -> list[tuple[int, list[str]]]:
     return found
 
 
-def check_count(path: Path, words: Sequence[str], columns: int, line: int) -> None:
-    """Refuse a line of another number of words."""
+@contextmanager
+def line_named(path: Path, line: int) -> Iterator[None]:
+    """What a ValueError says of a line becomes a LogError that names it."""
+    try:
+        yield
+    except ValueError as error:
+        raise LogError(path, str(error), line=line) from error
+
+
+def _check_count(words: Sequence[str], columns: int) -> None:
     if len(words) != columns:
-        raise LogError(path, f"expected {columns} numbers, got {len(words)} words", line=line)
+        raise ValueError(f"expected {columns} numbers, got {len(words)} words")
 
 
-def floats_of(
-    path: Path, words: Sequence[str], line: int, *, finite: bool = True, separator: str | None = None
-) -> list[float]:
-    """The numbers of a line; a `LogError` where a word is none, `1_000` of Python's among them, or is not finite."""
+def floats_of(words: Sequence[str], *, finite: bool = True, separator: str | None = None) -> list[float]:
+    """Words as numbers; a ValueError where one is none, `1_000` of Python's among them, or is not finite."""
     try:
         values = [number_of(word) for word in words]
     except ValueError as error:
-        raise LogError(
-            path, f"expected numbers, got {(separator or ' ').join(words).strip()[:60]!r}", line=line
-        ) from error
+        raise ValueError(f"expected numbers, got {(separator or ' ').join(words).strip()[:60]!r}") from error
     if finite and not np.isfinite(values).all():
-        raise LogError(path, "expected finite numbers, got NaN or infinity", line=line)
+        raise ValueError("expected finite numbers, got NaN or infinity")
     return values
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from slam.errors import LogError
 from slam.io.cloud_folders import SCAN_PERIOD_NS, SENSOR
 from slam.io.clouds.cloud import FARTHEST_M
-from slam.io.raw import ascii_of, floats_of, numbered_words, read_unpacked, text_rows
+from slam.io.raw import ascii_of, floats_of, line_named, numbered_words, read_unpacked, text_rows
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from spplanes._check import FloatArray
 
@@ -65,7 +65,10 @@ def read_pose(path: Path) -> FloatArray:
     """odom_T_body, shape (4, 4), from a `.pose` file: x y z in cm, then rotations about x, y, z in degrees."""
     if not path.is_file():
         raise LogError(path, "expected the pose of the scan beside it, found no such file")
-    values = [value for line, words in numbered_words(path) for value in floats_of(path, words, line)]
+    values = []
+    for line, words in numbered_words(path):
+        with line_named(path, line):
+            values += floats_of(words)
     if len(values) != 6:
         raise LogError(path, f"expected six numbers (x y z rx ry rz), got {len(values)}")
     transform = np.eye(4)
@@ -120,7 +123,8 @@ def read_frames(path: Path) -> FloatArray:
     if not lines:
         raise LogError(path, "expected at least one transform, got an empty file")
     number, last = lines[-1]
-    values = floats_of(path, last, number)
-    if len(values) < 16:
-        raise LogError(path, f"expected 16 numbers of a 4x4 transform, got {len(values)}", line=number)
+    with line_named(path, number):
+        values = floats_of(last)
+        if len(values) < 16:
+            raise ValueError(f"expected 16 numbers of a 4x4 transform, got {len(values)}")
     return to_right_handed(np.array(values[:16]).reshape(4, 4, order="F"))

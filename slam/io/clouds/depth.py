@@ -198,9 +198,8 @@ def _listed(path: Path, number: int, words: list[str]) -> tuple[Path, int]:
     pairs = list(zip(words[::2], words[1::2], strict=False))
     pair = next((pair for pair in pairs if "depth" in pair[1]), pairs[0] if pairs else None)
     try:
-        if pair is None:
-            raise ValueError("too few words")
-        return path.parent / pair[1], nanoseconds(pair[0])
+        stamp, name = pair or ("", "")
+        return path.parent / name, nanoseconds(stamp)
     except ValueError as error:
         raise LogError(path, f"expected a time and a file, got {' '.join(words)[:60]!r}", line=number) from error
 

@@ -14,7 +14,7 @@ from factors.robust import gaussian
 from slam.errors import LogError
 from slam.geometry.frames import norms_of
 from slam.io.g2o._tangents import plane_jacobian, pose_jacobian, root_information
-from slam.io.raw import floats_of, numbered_words
+from slam.io.raw import floats_of, line_named, numbered_words
 from spplanes._check import TOO_LARGE, FloatArray
 
 #: Vertices that a file may have: more cannot be numbered by a GTSAM symbol, and none has.
@@ -70,17 +70,17 @@ def read_g2o(path: Path | str) -> G2oGraph:
             is not positive semidefinite, a sensor that is not a fixed vertex, or no pose at all.
     """
     path = Path(path)
-    reader = _Reader(path)
+    reader = _Reader()
     for line, words in numbered_words(path):
-        reader.read(line, words)
-    return reader.finish()
+        with line_named(path, line):
+            reader.read(line, words)
+    return reader.graph(path)
 
 
 @dataclass
 class _Reader:
     """What was read so far."""
 
-    path: Path
     poses: dict[int, gtsam.Pose3] = field(default_factory=dict)
     planes: dict[int, gtsam.OrientedPlane3] = field(default_factory=dict)
     fixed: dict[int, int] = field(default_factory=dict)
@@ -88,32 +88,31 @@ class _Reader:
     edges: list[G2oEdge] = field(default_factory=list)
 
     def read(self, line: int, words: list[str]) -> None:
-        """One line."""
+        """Take a line; a ValueError says what is wrong with it."""
         kind = words[0]
         if kind == "FIX":
-            self.fixed.update((self._id(word, line), line) for word in words[1:])
+            self.fixed.update((_id(word), line) for word in words[1:])
         elif kind in _VERTICES:
-            (number,), numbers = self._split(words, line, 1, _VERTICES[kind])
+            (number,), numbers = _split(words, 1, _VERTICES[kind])
             kept: dict[int, Any] = {"VERTEX_PLANE": self.planes, "PARAMS_SE3OFFSET": self.offsets}.get(kind, self.poses)
             taken = number in kept if kind == "PARAMS_SE3OFFSET" else number in self.poses or number in self.planes
             if taken:
-                raise LogError(self.path, f"expected each id once, got {number} again", line=line)
+                raise ValueError(f"expected each id once, got {number} again")
             if len(kept) >= _MOST_VERTICES:
-                raise LogError(self.path, f"expected at most {_MOST_VERTICES} vertices", line=line)
-            kept[number] = self._plane(numbers, line) if kind == "VERTEX_PLANE" else self._pose(numbers, line)
+                raise ValueError(f"expected at most {_MOST_VERTICES} vertices")
+            kept[number] = _plane(numbers) if kind == "VERTEX_PLANE" else _pose(numbers)
         elif kind in _EDGES:
-            self.edges.append(G2oEdge(kind, *self._split(words, line, *_EDGES[kind]), line))
+            self.edges.append(G2oEdge(kind, *_split(words, *_EDGES[kind]), line))
         else:
-            known = ", ".join([*_VERTICES, *_EDGES, "FIX"])
-            raise LogError(self.path, f"expected one of {known}, got {kind[:40]!r}", line=line)
+            raise ValueError(f"expected one of {', '.join([*_VERTICES, *_EDGES, 'FIX'])}, got {kind[:40]!r}")
 
-    def finish(self) -> G2oGraph:
-        """The graph of all that was read."""
+    def graph(self, path: Path) -> G2oGraph:
+        """The graph of all that was read; a LogError where something in it does not fit."""
         if not self.poses:
-            raise LogError(self.path, "expected at least one VERTEX_SE3:QUAT, got none")
+            raise LogError(path, "expected at least one VERTEX_SE3:QUAT, got none")
         for number, line in self.fixed.items():
             if number not in self.poses:
-                raise LogError(self.path, f"expected a pose to fix, got the id {number}", line=line)
+                raise LogError(path, f"expected a pose to fix, got the id {number}", line=line)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         sensors = {edge.ids[2] for edge in self.edges if edge.kind == "EDGE_SE3_PLANE_CALIB"}
         used = {number for edge in self.edges for number in edge.ids[: _POSES_OF[edge.kind]]}
@@ -129,77 +128,79 @@ class _Reader:
         for number, key in sorted(planes.items()):
             values.insert(key, self.planes[number])
         for edge in self.edges:
-            graph.push_back(self._factor(*edge))
+            with line_named(path, edge.line):
+                graph.push_back(self._factor(edge))
         return G2oGraph(graph, values, poses, planes, self.edges)
 
-    def _factor(self, kind: str, ids: tuple[int, ...], numbers: FloatArray, line: int) -> gtsam.NonlinearFactor:
-        poses = ids[: _POSES_OF[kind]]
-        for number in poses:
-            self._known(self.poses, number, line, "pose")
-        keys = [gtsam.symbol("x", number) for number in poses]
-        if kind == "EDGE_SE3_PLANE_CALIB":
-            return self._sighting(line, ids, keys[0], numbers)
-        root = self._root(numbers[7:], 6, line) @ pose_jacobian()
-        measured = self._pose(numbers[:7], line)
-        if kind == "EDGE_SE3:QUAT":
+    def _factor(self, edge: G2oEdge) -> gtsam.NonlinearFactor:
+        keys = []
+        for number in edge.ids[: _POSES_OF[edge.kind]]:
+            _known(self.poses, number, "pose")
+            keys.append(gtsam.symbol("x", number))
+        if edge.kind == "EDGE_SE3_PLANE_CALIB":
+            return self._sighting(edge, keys[0])
+        root = _root(edge.numbers[7:], 6) @ pose_jacobian()
+        measured = _pose(edge.measured)
+        if edge.kind == "EDGE_SE3:QUAT":
             return gtsam.BetweenFactorPose3(keys[0], keys[1], measured, _noise(root))
-        offset = self._known(self.offsets, ids[1], line, "PARAMS_SE3OFFSET")
-        if not offset.equals(gtsam.Pose3(), 1e-12):
-            raise LogError(self.path, "expected a prior on the pose itself, got one with an offset", line=line)
+        if not _known(self.offsets, edge.ids[1], "PARAMS_SE3OFFSET").equals(gtsam.Pose3(), 1e-12):
+            raise ValueError("expected a prior on the pose itself, got one with an offset")
         return _prior(keys[0], measured, root)
 
-    def _sighting(self, line: int, ids: tuple[int, ...], pose_key: int, numbers: FloatArray) -> gtsam.NonlinearFactor:
-        self._known(self.planes, ids[1], line, "plane")
-        body_T_sensor = self._known(self.poses, ids[2], line, "pose")
-        if ids[2] not in self.fixed:
-            raise LogError(self.path, f"expected a fixed sensor, got the free vertex {ids[2]}", line=line)
-        in_sensor = self._plane(numbers[:7], line)
+    def _sighting(self, edge: G2oEdge, pose_key: int) -> gtsam.NonlinearFactor:
+        _, plane, sensor = edge.ids
+        _known(self.planes, plane, "plane")
+        body_T_sensor = _known(self.poses, sensor, "pose")
+        if sensor not in self.fixed:
+            raise ValueError(f"expected a fixed sensor, got the free vertex {sensor}")
+        in_sensor = _plane(edge.measured)
         measured = in_sensor.transform(body_T_sensor.inverse())
         in_g2o = plane_jacobian(in_sensor, np.eye(3)) @ _to_sensor(in_sensor, measured, body_T_sensor)
-        noise = _noise(self._root(numbers[7:], 3, line) @ in_g2o)
-        plane_key = gtsam.symbol("p", ids[1])
+        noise = _noise(_root(edge.numbers[7:], 3) @ in_g2o)
+        plane_key = gtsam.symbol("p", plane)
         return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, _WORLD, plane_key)
 
-    def _known(self, kept: dict[int, Any], number: int, line: int, what: str) -> Any:
-        if number not in kept:
-            raise LogError(self.path, f"expected the id of a {what}, got {number}", line=line)
-        return kept[number]
 
-    def _split(self, words: list[str], line: int, ids: int, size: int) -> tuple[tuple[int, ...], FloatArray]:
-        if len(words) != 1 + ids + size:
-            raise LogError(
-                self.path, f"expected {ids + size} numbers after {words[0]}, got {len(words) - 1}", line=line
-            )
-        numbers = np.array(floats_of(self.path, words[1 + ids :], line))
-        if np.abs(numbers).max() >= TOO_LARGE:
-            raise LogError(self.path, f"expected numbers below {TOO_LARGE:g}, got larger ones", line=line)
-        return tuple(self._id(word, line) for word in words[1 : 1 + ids]), numbers
+def _known(kept: dict[int, Any], number: int, what: str) -> Any:
+    if number not in kept:
+        raise ValueError(f"expected the id of a {what}, got {number}")
+    return kept[number]
 
-    def _id(self, word: str, line: int) -> int:
-        if not (word.isdecimal() and len(word) <= 15):
-            raise LogError(self.path, f"expected an id, a whole number, got {word[:20]!r}", line=line)
-        return int(word)
 
-    def _pose(self, numbers: FloatArray, line: int) -> gtsam.Pose3:
-        norms, wrong = norms_of(numbers[None, 3:7])
-        if wrong[0]:
-            raise LogError(self.path, f"expected a unit quaternion, got one of norm {norms[0]:.6g}", line=line)
-        x, y, z, w = numbers[3:7] / norms[0]
-        return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), numbers[:3])
+def _split(words: list[str], ids: int, size: int) -> tuple[tuple[int, ...], FloatArray]:
+    if len(words) != 1 + ids + size:
+        raise ValueError(f"expected {ids + size} numbers after {words[0]}, got {len(words) - 1}")
+    numbers = np.array(floats_of(words[1 + ids :]))
+    if np.abs(numbers).max() >= TOO_LARGE:
+        raise ValueError(f"expected numbers below {TOO_LARGE:g}, got larger ones")
+    return tuple(map(_id, words[1 : 1 + ids])), numbers
 
-    def _plane(self, numbers: FloatArray, line: int) -> gtsam.OrientedPlane3:
-        norm = np.linalg.norm(numbers[:3])
-        if norm == 0.0:
-            raise LogError(self.path, "expected the normal of a plane, got zero", line=line)
-        return gtsam.OrientedPlane3(numbers[:4] / norm)
 
-    def _root(self, upper: FloatArray, size: int, line: int) -> FloatArray:
-        matrix = np.zeros((size, size))
-        matrix[np.triu_indices(size)] = upper
-        try:
-            return root_information(matrix + np.triu(matrix, 1).T)
-        except ValueError as error:
-            raise LogError(self.path, str(error), line=line) from error
+def _id(word: str) -> int:
+    if not (word.isdecimal() and len(word) <= 15):
+        raise ValueError(f"expected an id, a whole number, got {word[:20]!r}")
+    return int(word)
+
+
+def _pose(numbers: FloatArray) -> gtsam.Pose3:
+    norms, wrong = norms_of(numbers[None, 3:7])
+    if wrong[0]:
+        raise ValueError(f"expected a unit quaternion, got one of norm {norms[0]:.6g}")
+    x, y, z, w = numbers[3:7] / norms[0]
+    return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), numbers[:3])
+
+
+def _plane(numbers: FloatArray) -> gtsam.OrientedPlane3:
+    norm = np.linalg.norm(numbers[:3])
+    if norm == 0.0:
+        raise ValueError("expected the normal of a plane, got zero")
+    return gtsam.OrientedPlane3(numbers[:4] / norm)
+
+
+def _root(upper: FloatArray, size: int) -> FloatArray:
+    matrix = np.zeros((size, size))
+    matrix[np.triu_indices(size)] = upper
+    return root_information(matrix + np.triu(matrix, 1).T)
 
 
 def _to_sensor(
