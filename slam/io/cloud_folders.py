@@ -16,7 +16,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +33,7 @@ from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_tum
 from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
-from spplanes.clouds.arrange import Grid, arrange
+from spplanes.clouds.arrange import arrange
 
 #: Name of the sensor where no rig gives one.
 SENSOR = "scanner"
@@ -74,25 +74,21 @@ def _chosen(folder: Path) -> tuple[list[Path], list[str]]:
 def read_cloud_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | None = None) -> Log:
     """Read a folder of clouds; the clouds themselves stay in their files until they are asked for.
 
-    Args:
-        folder: with the names above.
-        name: of the sensor in the rig.
-        sensor: whose poses are those that the clouds themselves tell.
-        odometry: a TUM or KITTI file, in place of what the folder has.
-
-    Raises:
-        LogError: one sentence with the file: a header that is wrong, times or poses that are not as many.
+    The poses that they tell themselves are those of `sensor`, which is called `name` in the rig; `odometry` is a TUM or
+    KITTI file in place of what the folder has.
     """
     paths, notes = _chosen(folder)
     for path in paths:
         weigh_cloud(path)
     posed_by, moved_by = first_file(folder, _POSES), odometry or first_file(folder, _ODOMETRY)
-    poses = _told_by_files(paths, sensor) if posed_by is None else _rows_of(posed_by)
-    moves = _rows_of(moved_by)
+    poses, moves = _rows_of(posed_by), _rows_of(moved_by)
+    if posed_by is None and paths and paths[0].suffix.lower() == ".pcd":  # so are the others
+        poses = _of_body([read_header(path).world_T_sensor for path in paths], sensor)
     stamps, timed = _stamps(folder, paths, [rows for rows in (moves, poses) if isinstance(rows, Trajectory)])
     scans = ScanFiles(folder, "cloud", paths, stamps, timed)
     world_T_body = None if poses is None else scans.poses(posed_by or folder, poses)
-    events = scans.events(name, partial(_grid_in, grid=grid_of(sensor)), world_T_body)
+    grid = grid_of(sensor)
+    events = scans.events(name, lambda path: arrange(read_cloud(path).points, grid), world_T_body)
     if moved_by is not None and moves is not None:
         events += _odometry(moved_by, moves, scans, must_reach=odometry is not None)
     if odometry is not None:
@@ -103,23 +99,15 @@ def read_cloud_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
 
 
 def read_e57_log(path: Path, name: str, sensor: Sensor) -> Log:
-    """Read the scans of an E57 file, one second each, with their poses where all have one.
-
-    Raises:
-        LogError: what `slam.io.clouds.survey` says.
-    """
-    clouds = read_e57_scans(path)
+    """Read the scans of an E57 file, one second each, with their poses where one has any."""
+    clouds, grid = read_e57_scans(path), grid_of(sensor)
     poses = _of_body([cloud.world_T_sensor for cloud in clouds], sensor)
-    events: list[Event] = []
-    for index, cloud in enumerate(clouds):
-        points = arrange(cloud.points, grid_of(sensor))
-        events.append(CloudScan(index * SCAN_PERIOD_NS, name, points, None if poses is None else poses[index]))
+    told = [None] * len(clouds) if poses is None else poses
+    events: list[Event] = [
+        CloudScan(index * SCAN_PERIOD_NS, name, arrange(cloud.points, grid), pose)
+        for index, (cloud, pose) in enumerate(zip(clouds, told, strict=True))
+    ]
     return Log(events, path, [] if poses is None else [_no_odometry(None)])
-
-
-def _grid_in(path: Path, grid: Grid | None) -> FloatArray:
-    """The points of a file as a grid round the sensor, shape (S, B, 3), m; NaN = no return."""
-    return arrange(read_cloud(path).points, grid)
 
 
 def _is_scan(path: Path) -> bool:
@@ -147,14 +135,8 @@ def _rows_of(path: Path | None) -> Trajectory | FloatArray | None:
     return read_tum(path)
 
 
-def _told_by_files(paths: list[Path], sensor: Sensor) -> FloatArray | None:
-    """world_T_body (N, 4, 4) by the VIEWPOINT of PCD files; None where all are the identity, or of other formats."""
-    told = [read_header(path).world_T_sensor if path.suffix.lower() == ".pcd" else None for path in paths]
-    return _of_body(told, sensor)
-
-
 def _of_body(told: list[FloatArray | None], sensor: Sensor) -> FloatArray | None:
-    """world_T_body (N, 4, 4) by poses of a sensor, of which those not told are the identity; None: no one is told."""
+    """world_T_body (N, 4, 4) by poses of a sensor, of which those not told are the identity; None: not one is told."""
     if all(pose is None for pose in told):
         return None
     return np.array([np.eye(4) if pose is None else pose for pose in told]) @ inverse(sensor.body_T_sensor)
@@ -167,10 +149,9 @@ def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> tuple[
         if len(times) != len(paths):
             raise LogError(folder / _TIMES, f"expected {len(paths)} times, one for each cloud, got {len(times)}")
         return times[:, 0].tolist(), True
-    named = [_time_in(path.stem) for path in paths]
-    stamps = [stamp for stamp in named if stamp is not None]
-    if len(stamps) == len(paths):
-        return stamps, True
+    named = [stamp for path in paths if (stamp := _time_in(path.stem)) is not None]
+    if len(named) == len(paths):
+        return named, True
     clock = next((rows for rows in clocks if len(rows) == len(paths)), None)
     return [k * SCAN_PERIOD_NS for k in range(len(paths))] if clock is None else clock.stamps_ns.tolist(), False
 
@@ -182,10 +163,9 @@ def _time_in(stem: str) -> int | None:
         return None
     (word,) = numbers
     if "." in word:
-        try:
+        with suppress(ValueError):
             return nanoseconds(word)
-        except ValueError:
-            return None
+        return None
     return int(word) * _DIGITS_NS[len(word)] if len(word) in _DIGITS_NS and word[0] != "0" else None
 
 
@@ -209,10 +189,8 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
     """Write a log of one 3D sensor and odometry into a folder that exists.
 
     It gets `clouds/000000.pcd` and so on, `times.txt`, and `odometry.tum` and `poses.tum` where the log has them.
-    Points and times read back as they were, rotations to rounding error. Equal logs give equal bytes.
-
-    Raises:
-        ValueError: no 3D scan, 2D scans, 3D scans of two sensors, or some with a pose of the robot and some without.
+    Points and times read back as they were, rotations to rounding error. Equal logs give equal bytes. A ValueError
+    refuses logs of no 3D scan, 2D scans or two sensors, or of some scans with a pose of the robot and some without.
     """
     folder, scans = Path(folder), _scans(log)
     (folder / "clouds").mkdir()
@@ -227,11 +205,10 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
 
 def _scans(log: Log) -> list[CloudScan]:
     """The 3D scans of the one sensor there is."""
-    scans = list(log.scans())
-    clouds = [scan for scan in scans if isinstance(scan, CloudScan)]
-    if not clouds or len(clouds) != len(scans) or len({scan.sensor for scan in clouds}) != 1:
-        names = ", ".join(sorted({scan.sensor for scan in scans})) or "none"
-        raise ValueError(f"log: expected scans of one 3D sensor, got those of {names}")
+    scans = log.scans()
+    clouds, names = [scan for scan in scans if isinstance(scan, CloudScan)], {scan.sensor for scan in scans}
+    if len(clouds) != len(scans) or len(names) != 1:
+        raise ValueError(f"log: expected scans of one 3D sensor, got those of {', '.join(sorted(names)) or 'none'}")
     if len({scan.world_T_body is None for scan in clouds}) != 1:
         raise ValueError("log: expected a pose of the robot with every scan or with none, got some")
     return clouds

@@ -7,7 +7,7 @@ import gzip
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from decimal import Decimal, DecimalException
 from io import BufferedIOBase
 from pathlib import Path
@@ -47,10 +47,7 @@ def in_short(error: BaseException) -> str:
 
 @contextmanager
 def damage_told(path: Path, expected: str) -> Iterator[None]:
-    """Whatever other people's readers raise on a damaged file becomes one sentence: `expected`, and what they say.
-
-    Of a file that the system does not open that says so.
-    """
+    """Whatever other people's readers raise on a damaged file becomes one sentence: `expected`, and what they say."""
     try:
         yield
     except LogError:
@@ -87,9 +84,7 @@ def read_bytes(path: Path, start: int = 0, size: int = -1) -> bytes:
 def numbered_lines(path: Path, longest: int) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, neither empty nor `#` comments, of a plain or gzip file.
 
-    Raises:
-        LogError: the file cannot be read, a line has `longest` bytes or more, or the stream grows out of proportion.
-        EOFError, zlib.error, gzip.BadGzipFile: the gzip stream breaks off.
+    A LogError refuses lines of `longest` bytes and what grows out of proportion; a stream that breaks off is `BROKEN`.
     """
     with _opened(path) as (stream, packed):
         number = 0
@@ -105,11 +100,7 @@ def numbered_lines(path: Path, longest: int) -> Iterator[tuple[int, str]]:
 
 
 def read_unpacked(path: Path) -> bytes:
-    """All bytes of a plain or gzip file.
-
-    Raises:
-        LogError: the file cannot be read, the gzip stream breaks off or grows out of proportion.
-    """
+    """All bytes of a plain or gzip file that neither breaks off nor grows out of proportion."""
     chunks: list[bytes] = []
     try:
         with _opened(path) as (stream, packed):
@@ -138,9 +129,7 @@ class TooLarge(ValueError):
 def unpack(data: bytes, compression: str) -> bytes:
     """Unpack bz2, lz4 or zstd bytes, one stream after another.
 
-    Raises:
-        TooLarge: more comes out than this module allows.
-        EOFError: the bytes end before the stream does; other errors of the packages where they are damaged.
+    Raises `TooLarge`, EOFError where the bytes end before the stream does, and what the packages do of damaged ones.
     """
     most = max(HARMLESS_BYTES, MOST_GROWTH * len(data))
     pieces: list[bytes] = []
@@ -177,8 +166,7 @@ _LONGEST_LINE = 1 << 16
 def read_rows(path: Path, *, columns: int, stamp_columns: int = 0) -> tuple[np.ndarray, FloatArray, list[int]]:
     """Times (N, stamp_columns), ns, the other numbers (N, ...), and the line of every row; plain text or gzip.
 
-    Raises:
-        LogError: the file cannot be read, holds no row, or a row that is not `columns` finite numbers.
+    A LogError names the first row that is not `columns` finite numbers.
     """
     stamps: list[list[int]] = []
     rows: list[list[float]] = []
@@ -208,10 +196,7 @@ def text_rows(
 ) -> FloatArray:
     """Rows of numbers, shape (N, columns), from text; unless all are to be finite, `nan` is a number.
 
-    Columns, where none are told, are as many as the first row has.
-
-    Raises:
-        LogError: names the first line that is not that many numbers.
+    Columns, where none are told, are as many as the first row has; a LogError names the first line that has others.
     """
     lines = text.splitlines()
     if columns is None:
@@ -249,11 +234,7 @@ def ascii_of(path: Path, data: bytes, first_line: int = 1) -> str:
 
 
 def numbered_words(path: Path) -> list[tuple[int, list[str]]]:
-    """Line number and words of every line that is neither empty nor a `#` comment; plain text or gzip.
-
-    Raises:
-        LogError: the file cannot be read, a line is too long, or the gzip stream breaks off.
-    """
+    """Line number and words of every line that is neither empty nor a `#` comment; plain text or gzip."""
     found: list[tuple[int, list[str]]] = []
     try:
         found.extend((number, text.split()) for number, text in numbered_lines(path, _LONGEST_LINE))
@@ -298,18 +279,13 @@ def number_of(word: str) -> float:
 
 def nanoseconds(word: str) -> int:
     """Seconds as text to integer nanoseconds, exactly; a ValueError for what is no time."""
-    try:
+    with suppress(DecimalException):  # no number, or one that overflows
         seconds = Decimal(word if "_" not in word else "")
-        plausible = abs(seconds) <= LATEST_S
-    except DecimalException:  # no number, or one that overflows
-        plausible, seconds = False, Decimal(0)
-    if not plausible:
-        raise ValueError(f"expected a time in seconds, got {word[:20]!r}")
-    return int((seconds * 1_000_000_000).to_integral_value())
+        if abs(seconds) <= LATEST_S:
+            return int((seconds * 1_000_000_000).to_integral_value())
+    raise ValueError(f"expected a time in seconds, got {word[:20]!r}")
 
 
 def seconds_from_ns(stamp_ns: int) -> str:
     """Integer nanoseconds as seconds with nine decimals, exactly."""
-    sign = "-" if stamp_ns < 0 else ""
-    seconds, rest = divmod(abs(stamp_ns), 1_000_000_000)
-    return f"{sign}{seconds}.{rest:09d}"
+    return f"{Decimal(stamp_ns).scaleb(-9):.9f}"

@@ -48,9 +48,9 @@ class Table:
     columns: list[int]
     """Which words of a line are x, y and z."""
     words: int
-    """Words of a line."""
+    """Of a line."""
     count: int
-    """Rows."""
+    """Of rows."""
     start: int
     """Where they begin, bytes."""
     line: int
@@ -90,8 +90,7 @@ def checked(path: Path, points: FloatArray, world_T_sensor: FloatArray | None = 
 def points_of(path: Path, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> FloatArray:
     """Coordinates (...) of a binary file as points, shape (..., 3), m.
 
-    Raises:
-        LogError: most of the numbers are such as no sensor gives: floats read in the wrong order of their bytes.
+    A LogError where many are such as no sensor gives: floats read in the wrong order of their bytes.
     """
     points = np.stack((x, y, z), axis=-1).astype(np.float64)
     size = np.abs(points[np.isfinite(points) & (points != 0.0)])

@@ -12,7 +12,6 @@ import re
 import struct
 import zlib
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,16 +35,12 @@ MOST_PIXELS = 1 << 24
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera."""
+    """A pinhole camera: focal lengths (fy negative: y is up) and place of the optical axis, pixels."""
 
     fx: float
-    """Focal length along the rows, pixels."""
     fy: float
-    """Focal length along the columns, pixels; negative: y is up."""
     cx: float
-    """Column of the optical axis."""
     cy: float
-    """Row of the optical axis."""
     units_per_m: float = USUAL_UNITS_PER_M
     """What a depth of 1 m is in the images."""
 
@@ -59,12 +54,7 @@ class Camera:
 def read_depth_image(path: Path, camera: Camera | None = None) -> Cloud:
     """One depth image, 16 bits a pixel, as an organised cloud (H, W, 3).
 
-    Args:
-        path: the PNG.
-        camera: None: that of intrinsics.txt beside the image or one folder up.
-
-    Raises:
-        LogError: no intrinsics, no PNG with one channel of whole numbers, one cut off, or no depth in it.
+    `camera`: None: that of intrinsics.txt beside the image or one folder up.
     """
     from PIL import Image
 
@@ -99,11 +89,7 @@ def _check_whole(path: Path) -> None:
 
 
 def read_intrinsics(path: Path) -> Camera:
-    """Read fx fy cx cy, or a (3, 3) matrix, and perhaps the units per metre.
-
-    Raises:
-        LogError: other numbers, or a matrix that is no camera's.
-    """
+    """Read fx fy cx cy, or a (3, 3) matrix, and perhaps the units per metre."""
     text = ascii_of(path, read_bytes(path)).replace("\n", " ").replace(",", " ")
     numbers = text_rows(path, text, None).ravel()
     if numbers.size in (4, 5):
@@ -146,27 +132,20 @@ def is_depth_folder(folder: Path) -> bool:
 def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | None = None) -> Log:
     """Read a folder of depth images; the images stay in their files until they are asked for.
 
-    Args:
-        folder: with the names above.
-        name: of the camera in the rig.
-        sensor: the camera, whose the poses are.
-        odometry: a file that is given for odometry; one of the camera's poses by its name is moved to the body.
-
-    Raises:
-        LogError: no images, a list that names others, intrinsics or poses that are wrong.
+    The poses beside them are those of `sensor`, the camera, which is called `name` in the rig; a file that is given for
+    odometry and is one of the camera's poses by its name is moved to the body.
     """
     camera, mount = read_intrinsics(folder / INTRINSICS), sensor.body_T_sensor
-    images = _images(folder)
-    for path, _ in images:
+    paths, told = zip(*_images(folder), strict=True)
+    for path in paths:
         if not os.path.isfile(path):  # False for a name too long for any file, too
-            raise LogError(
-                path.parent / path.name[:60], "expected the depth image that the list names, found no such file"
-            )
-    stamps = [k * PERIOD_NS if stamp is None else stamp for k, (_, stamp) in enumerate(images)]
-    scans = ScanFiles(folder, "image", [path for path, _ in images], stamps, images[0][1] is not None, numbered=False)
+            named = path.parent / path.name[:60]
+            raise LogError(named, "expected the depth image that the list names, found no such file")
+    stamps = [k * PERIOD_NS if stamp is None else stamp for k, stamp in enumerate(told)]
+    scans = ScanFiles(folder, "image", list(paths), stamps, told[0] is not None, numbered=False)
     truth = first_file(folder, CAMERA_POSES)
     poses = None if truth is None else scans.poses(truth, read_tum(truth)) @ inverse(mount)
-    events = scans.events(name, partial(_points_of, camera=camera), poses)
+    events = scans.events(name, lambda path: read_depth_image(path, camera).points, poses)
     if (folder / _ODOMETRY).is_file():
         log = Log(in_order([*readings_of(folder / _ODOMETRY, events), *events]), folder)
     else:
@@ -175,10 +154,6 @@ def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     if odometry is not None and odometry.name in CAMERA_POSES:
         return with_odometry(log, odometry, mount)
     return log
-
-
-def _points_of(path: Path, camera: Camera) -> FloatArray:
-    return read_depth_image(path, camera).points
 
 
 def _images(folder: Path) -> list[tuple[Path, int | None]]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,12 +19,10 @@ _TYPES = {"F4": "<f4", "F8": "<f8"} | {f"{kind}{n}": f"<{kind.lower()}{n}" for k
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 
 
-@dataclass(frozen=True, eq=False)
-class Header:
+class Header(NamedTuple):
     """What a PCD file says about itself."""
 
     table: Table
-    """Its points."""
     height: int
     """Rows of the image that they are; 1: not organised."""
     world_T_sensor: FloatArray | None
@@ -38,10 +36,6 @@ def read_pcd(path: Path) -> Cloud:
 
     A VIEWPOINT that is not the identity is where the sensor was in the frame of the points: the points go into the
     sensor's frame and it becomes `world_T_sensor`.
-
-    Raises:
-        LogError: one sentence with file, and line where there is one: a header that is none, no x y z, data that are
-            cut off, damaged, or fewer than declared (seen before memory is taken for them), no point at all.
     """
     header = read_header(path)
     points = _points_of(path, header)
@@ -161,11 +155,7 @@ def _unpacked(path: Path, body: bytes, expected: int) -> bytes:
 
 
 def write_pcd(path: Path | str, points: FloatArray) -> None:
-    """Write points as binary PCD in double precision: organised (H, W, 3) or not (N, 3), m; NaN = no return.
-
-    Raises:
-        ValueError: another shape.
-    """
+    """Write points as binary PCD in double precision: organised (H, W, 3) or not (N, 3), m; NaN = no return."""
     rows = as_shape("points", points if np.ndim(points) == 3 else [points], (None, None, 3), finite=False)
     height, width, _ = rows.shape
     head = (
@@ -185,9 +175,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     The stream is a row of pieces. A first byte below 32 says how many bytes, less one, follow as they are. Any other
     holds in its upper three bits the length, less two, of a repetition (7: the next byte is added to it) and in its
     lower five the upper bits of how far back, less one, it starts; the last byte of the piece holds the lower eight.
-
-    Raises:
-        ValueError: the sizes cannot belong together (nothing is allocated then), or the stream is damaged.
+    A ValueError says that the sizes cannot belong together (nothing is allocated then), or that the stream is damaged.
     """
     if size > MOST_PER_BYTE * len(data):
         raise ValueError(f"{len(data)} compressed bytes cannot hold the {size} that are declared")

@@ -21,30 +21,19 @@ _UNREADABLE = "expected an array in numpy's format, got a file that cannot be re
 
 
 def read_npy(path: Path) -> Cloud:
-    """Read points (N, 3) or (S, B, 3), further columns left out, or a structured array with x, y and z.
-
-    Raises:
-        LogError: not such a file, an array of another shape or type (pickled objects are never loaded), more declared
-            than the file holds, no point at all.
-    """
+    """Read points (N, 3) or (S, B, 3), further columns left out, or a structured array with x, y and z."""
     with damage_told(path, _UNREADABLE), path.open("rb") as stream:  # numpy's parser raises errors of Python's own too
-        _check_declared(path, stream, file_size(path))
-        array = npy.read_array(stream, allow_pickle=False)
+        array = _array(path, stream, file_size(path))
     return _cloud(path, array)
 
 
 def read_npz(path: Path) -> Cloud:
-    """Read the array `points` or `xyz`, or the only one there is, as `read_npy` does.
-
-    Raises:
-        LogError: as `read_npy`; several arrays of other names; a member that grows out of all proportion.
-    """
+    """Read the array `points` or `xyz`, or the only one there is, as `read_npy` does."""
     with damage_told(path, _UNREADABLE), zipfile.ZipFile(path) as archive:
         member = _member(path, archive)
         check_ratio(path, member.file_size, member.compress_size)
         with archive.open(member) as stream:
-            _check_declared(path, stream, member.file_size)
-            array = npy.read_array(stream, allow_pickle=False)
+            array = _array(path, stream, member.file_size)
     return _cloud(path, array)
 
 
@@ -55,11 +44,7 @@ def weigh_npy(path: Path) -> None:
 
 
 def read_kitti_bin(path: Path) -> Cloud:
-    """Read a KITTI cloud.
-
-    Raises:
-        LogError: a size that is not a multiple of 16 bytes, numbers that are no coordinates, no point at all.
-    """
+    """Read a KITTI cloud."""
     weigh_kitti_bin(path)
     return checked(path, points_of(path, *np.frombuffer(read_bytes(path), dtype="<f4").reshape(-1, 4).T[:3]))
 
@@ -95,6 +80,11 @@ def _check_declared(path: Path, stream: IO[bytes], room: int) -> None:
     stream.seek(0)
 
 
+def _array(path: Path, stream: IO[bytes], room: int) -> np.ndarray:
+    _check_declared(path, stream, room)
+    return npy.read_array(stream, allow_pickle=False)
+
+
 def _cloud(path: Path, array: np.ndarray) -> Cloud:
     if array.dtype.names is not None:
         if not {"x", "y", "z"} <= set(array.dtype.names):
@@ -115,10 +105,6 @@ def read_text(path: Path) -> Cloud:
 
     Lines that start with # or // before the first point are comments. A line of names before the first point says which
     columns are x, y and z; without one they are the first three. A line with one whole number is the count of .pts.
-
-    Raises:
-        LogError: one sentence with file and line: what is not a number, rows of different length, fewer than three
-            columns, a count that is wrong, no point at all.
     """
     data = read_bytes(path).removeprefix(b"\xef\xbb\xbf")
     lines = data.split(b"\n")

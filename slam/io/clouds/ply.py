@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +22,13 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 @dataclass
 class Element:
-    """A table in a PLY file."""
+    """A table in a PLY file: vertex, face, ...; where a property is a list, rows differ in length."""
 
     name: str
-    """vertex, face, ..."""
     count: int
-    """Rows."""
     columns: list[tuple[str, str]]
     """Name and type of every property, in order."""
     has_lists: bool = False
-    """Whether a property is a list: then rows differ in length."""
 
     def dtype(self, order: str) -> np.dtype:
         """One row of a binary file."""
@@ -38,12 +36,7 @@ class Element:
 
 
 def read_ply(path: Path) -> Cloud:
-    """Read the vertices of a PLY file; other elements and properties are left out.
-
-    Raises:
-        LogError: one sentence with file, and line where there is one: a header that is none, no x y z, data that are
-            cut off (seen before memory is taken for them), no point at all.
-    """
+    """Read the vertices of a PLY file; other elements and properties are left out."""
     vertices, skipped = read_header(path)
     if skipped is None:
         return checked(path, vertices.unpacked(path))
@@ -54,11 +47,16 @@ def read_ply(path: Path) -> Cloud:
 def read_header(path: Path) -> tuple[Table, int | None]:
     """The vertices, and of a text how many lines are before them, None of binary data, which are only weighed."""
     order, elements, start, line = _parse_header(path)
-    before = elements[: [element.name for element in elements].index("vertex")]
+    before = list(takewhile(lambda element: element.name != "vertex", elements))
+    if len(before) == len(elements):
+        raise LogError(path, "expected an element vertex, found none")
     vertex = elements[len(before)]
+    names = [name for name, _ in vertex.columns]
+    if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
+        raise LogError(path, f"expected the properties x y z once each, got {' '.join(names)[:60]}")
     if any(element.has_lists for element in [*before, vertex]):
         raise LogError(path, "expected vertices before any list, got a list first")
-    dtype, names = vertex.dtype(order), [name for name, _ in vertex.columns]
+    dtype = vertex.dtype(order)
     skipped = sum(element.count for element in before)
     if order:
         start += sum(element.count * element.dtype(order).itemsize for element in before)
@@ -81,7 +79,6 @@ def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:
         if words == ["end_header"]:
             if order is None:
                 raise LogError(path, "expected the format in the PLY header, found no such line")
-            _check_vertices(path, elements)
             return _ORDERS[order], elements, end, number + 1
         try:
             order = _header_line(words, elements) or order
@@ -106,15 +103,6 @@ def _header_line(words: list[str], elements: list[Element]) -> str | None:
         case _:
             raise ValueError("expected a line of a PLY header")
     return None
-
-
-def _check_vertices(path: Path, elements: list[Element]) -> None:
-    vertex = next((element for element in elements if element.name == "vertex"), None)
-    if vertex is None:
-        raise LogError(path, "expected an element vertex, found none")
-    names = [name for name, _ in vertex.columns]
-    if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
-        raise LogError(path, f"expected the properties x y z once each, got {' '.join(names)[:60]}")
 
 
 def write_ply_tables(path: Path | str, tables: Mapping[str, np.ndarray]) -> None:

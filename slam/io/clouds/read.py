@@ -41,11 +41,7 @@ def is_cloud_file(path: Path) -> bool:
 
 
 def weigh_cloud(path: Path) -> None:
-    """Check header and size without reading the points, as far as the format has them.
-
-    Raises:
-        LogError: what `read_cloud` would say about them.
-    """
+    """Check header and size without reading the points, as far as the format has them, as `read_cloud` would."""
     weigher = _WEIGHERS.get(path.suffix.lower())
     if weigher is not None:
         weigher(path)
@@ -55,7 +51,10 @@ def read_cloud(path: Path | str) -> Cloud:
     """Read one cloud.
 
     Raises:
-        LogError: no such file, an unknown ending, or what the reader of its format says.
+        LogError: one sentence with the file, and the line where there is one: no such file, an unknown ending, a header
+            that is none, no x y z, data that are cut off, damaged, or more or fewer than declared (seen before memory
+            is taken for them; pickled objects are never loaded), what is not a number, no point at all.
+        MissingPackageError: the package that reads the format is not installed.
     """
     path = Path(path)
     check_cloud_given(path)

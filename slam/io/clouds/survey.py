@@ -26,12 +26,7 @@ _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 
 
 def read_e57(path: Path) -> Cloud:
-    """Read the one scan of an E57 file, in the scanner's frame, with its pose.
-
-    Raises:
-        LogError: as `read_e57_scans`; several scans.
-        MissingPackageError: pye57 is not installed.
-    """
+    """Read the one scan of an E57 file, in the scanner's frame, with its pose."""
     with _opened(path) as file:
         if file.scan_count != 1:
             raise LogError(path, f"expected one scan, got {file.scan_count}; map or slam take them all")
@@ -39,12 +34,7 @@ def read_e57(path: Path) -> Cloud:
 
 
 def read_e57_scans(path: Path) -> list[Cloud]:
-    """Read all scans of an E57 file.
-
-    Raises:
-        LogError: no E57 file, more points declared than it can hold, damage.
-        MissingPackageError: pye57 is not installed.
-    """
+    """Read all scans of an E57 file."""
     with _opened(path) as file:
         return [_scan(path, file, index) for index in range(file.scan_count)]
 
@@ -115,12 +105,7 @@ _LEAST_BYTES = 0.1
 
 
 def read_las(path: Path) -> Cloud:
-    """Read the points of a LAS or LAZ file, scaled and with offset, in the file's frame.
-
-    Raises:
-        LogError: no such file, more points declared than it can hold (seen before memory is taken for them), damage.
-        MissingPackageError: laspy, or lazrs for LAZ, is not installed.
-    """
+    """Read the points of a LAS or LAZ file, scaled and with offset, in the file's frame."""
     try:
         import laspy
     except ImportError as error:
