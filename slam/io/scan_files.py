@@ -25,11 +25,9 @@ class ScanFiles:
     """The scans of a folder, in order; a `LogError` where their times do not ascend."""
 
     folder: Path
-    """Where they are."""
     kind: str
     """What each is, for sentences: cloud or image."""
     paths: list[Path]
-    """A file a scan."""
     stamps: list[int]
     """Their times, ns."""
     timed: bool
@@ -84,16 +82,10 @@ REACH_NS = 500_000_000
 
 
 def with_odometry(log: Log, path: Path, body_T_sensor: FloatArray | None = None) -> Log:
-    """The log with the poses of a TUM file for odometry; its own is left out, and a note says so.
+    """The log with the poses of a TUM file, odom_T_body, for odometry; its own is left out, and a note says so.
 
-    Args:
-        log: of any kind that has times.
-        path: odom_T_body, in a frame of its own.
-        body_T_sensor: where the file tells the poses of a sensor, its mount, shape (4, 4).
-
-    Raises:
-        LogError: a file that is none, or that does not reach all scans: where odometry is missing it would seem to say
-            that the robot stood.
+    Where the file tells the poses of a sensor, `body_T_sensor` (4, 4) is its mount. A file that does not reach all
+    scans is refused: where odometry is missing it would seem to say that the robot stood.
     """
     scans: list[Event] = [event for event in log.events if not isinstance(event, OdometryReading)]
     readings = readings_of(path, scans, body_T_sensor)
@@ -102,7 +94,7 @@ def with_odometry(log: Log, path: Path, body_T_sensor: FloatArray | None = None)
 
 
 def readings_of(path: Path, scans: Iterable[Event], body_T_sensor: FloatArray | None = None) -> list[OdometryReading]:
-    """The readings of a TUM file for some scans; arguments and errors as of `with_odometry`."""
+    """The readings of a TUM file for some scans, as in `with_odometry`."""
     rows = read_tum(path)
     check_reach(path, rows, (scan.stamp_ns for scan in scans))
     poses = rows.poses if body_T_sensor is None else rows.poses @ inverse(body_T_sensor)

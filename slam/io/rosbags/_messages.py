@@ -51,23 +51,17 @@ def points_of(message: Any) -> FloatArray:
     """Points of a PointCloud2, shape (N, 3), or (S, B, 3) of an organised one, m; NaN = no return.
 
     Fields may be in any order, of any type, with room between and after them, rows may be padded, and the bytes of
-    either order. Points at the origin are no returns.
-
-    Raises:
-        ValueError: no x, y, z, fields outside of a point, or fewer bytes than points.
+    either order. Points at the origin are no returns. A ValueError says what does not fit.
     """
     height, width = int(message.height), int(message.width)
     step, row_step, data = int(message.point_step), int(message.row_step), np.asarray(message.data)
     fields = {str(field.name): field for field in message.fields}
     order = ">" if message.is_bigendian else "<"
-    formats: list[str] = []
-    offsets: list[int] = []
-    for axis in "xyz":
-        kind = _TYPES.get(int(fields[axis].datatype)) if axis in fields else None
-        if kind is None:
-            raise ValueError(f"expected the fields x, y and z, got {', '.join(fields)[:60] or 'none'}")
-        formats.append(order + kind)
-        offsets.append(int(fields[axis].offset))
+    axes = [fields[axis] for axis in "xyz" if axis in fields and int(fields[axis].datatype) in _TYPES]
+    if len(axes) < 3:
+        raise ValueError(f"expected the fields x, y and z, got {', '.join(fields)[:60] or 'none'}")
+    formats = [order + _TYPES[int(axis.datatype)] for axis in axes]
+    offsets = [int(axis.offset) for axis in axes]
     if max(offset + np.dtype(kind).itemsize for offset, kind in zip(offsets, formats, strict=True)) > step:
         raise ValueError(f"expected fields within the {step} bytes of a point, got offsets {offsets}")
     row_step = row_step if height > 1 else max(row_step, step * width)
@@ -81,11 +75,7 @@ def points_of(message: Any) -> FloatArray:
 
 
 def scan_of(message: Any) -> tuple[FloatArray, FloatArray]:
-    """Ranges (B,), m, NaN = no return, and ascending bearings (B,), rad, of a LaserScan, whichever way it turns.
-
-    Raises:
-        ValueError: no beams, or an angle that is none.
-    """
+    """Ranges (B,), m, NaN = no return, and ascending bearings (B,), rad, of a LaserScan, whichever way it turns."""
     ranges = np.asarray(message.ranges, dtype=np.float64)
     first, step = float(message.angle_min), float(message.angle_increment)
     if not ranges.size or not (np.isfinite(first) and np.isfinite(step) and step != 0.0):
@@ -100,11 +90,7 @@ def scan_of(message: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def transform_of(translation: Any, rotation: Any) -> FloatArray:
-    """A translation and a quaternion as a (4, 4) transform.
-
-    Raises:
-        ValueError: numbers that are not finite, or a quaternion that is none.
-    """
+    """A translation and a quaternion as a (4, 4) transform; a ValueError where they are none."""
     place = translation.x, translation.y, translation.z
     return poses_of(np.array([[*place, rotation.x, rotation.y, rotation.z, rotation.w]], dtype=np.float64))[0]
 
@@ -196,14 +182,8 @@ def odometry_of(
 ) -> tuple[str | None, list[tuple[int, FloatArray]]]:
     """Frame of the body, and its poses: of Odometry, else of tf from odom (or another frame of the world).
 
-    Args:
-        path: the bag, for errors.
-        found: what it tells.
-        body: frame of the body by somebody's word; None: the child frame of the odometry, else one of the usual names.
-        notes: what is to be said is added here.
-
-    Raises:
-        LogError: a frame that was named is not there, or moves against the one whose odometry is told.
+    `body`: its frame by somebody's word; None: the child frame of the odometry, else one of the usual names. A LogError
+    says that a frame that was named is not there, or moves against the one whose odometry is told.
     """
     child, poses = _told_odometry(path, found, notes)
     if body is None or body == child:

@@ -13,19 +13,7 @@ import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
 from slam.io.raw import in_short
-from slam.io.rosbags._messages import (
-    CLOUD,
-    ODOMETRY,
-    SCAN,
-    TF,
-    Moves,
-    frame_of,
-    odometry_of,
-    points_of,
-    scan_of,
-    stamp_of,
-    transform_of,
-)
+from slam.io.rosbags import _messages as ros
 from slam.io.rosbags._opening import kept_open, opened
 from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.scan_files import in_order
@@ -61,7 +49,7 @@ class _Found:
 
     spool: Spool
     """Ranges of 2D scans."""
-    moves: Moves
+    moves: ros.Moves
     """Frames and odometry."""
     angles: dict[str, FloatArray] = field(default_factory=dict)
     """Bearings of the last scan of each topic: the same scan after scan are kept once."""
@@ -103,10 +91,6 @@ def read_rosbag(
         names: name of the sensor by topic without slashes at its ends; others have that of their topic.
         grids: by name of the sensor, the range image of clouds that come without order; others: found in each.
         keep_partial: of a bag that breaks off, use what comes before.
-
-    Raises:
-        LogError: one sentence with the file: no bag, a damaged one, no such topic, no scans, a message that is wrong.
-        MissingPackageError: rosbags is not installed.
     """
     notes: list[str] = []
     with opened(path, keep_partial) as reader:
@@ -115,7 +99,7 @@ def read_rosbag(
         found = _read(path, reader, chosen, notes, keep_partial)
     if not found.scans and not found.clouds:
         raise LogError(path, "expected scans in the bag, found none before its end")
-    body, odometry = odometry_of(path, found.moves, chosen.body_frame, notes)
+    body, odometry = ros.odometry_of(path, found.moves, chosen.body_frame, notes)
     mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
     names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
     events: list[Event] = list(starmap(OdometryReading, odometry))
@@ -139,7 +123,7 @@ def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics
         *(frame and frame.lstrip("/") for frame in (wanted.odometry_frame, wanted.body_frame)),
     )
     usable = {kind: [t for t in sorted(kinds, key=lambda t: (-counts[t], t)) if kinds[t] == kind] for kind in _KINDS}
-    asked = [(topic, (SCAN, CLOUD)) for topic in wanted.scans] + [(wanted.odometry, (ODOMETRY,))]
+    asked = [(topic, (ros.SCAN, ros.CLOUD)) for topic in wanted.scans] + [(wanted.odometry, (ros.ODOMETRY,))]
     for topic, kinds_asked in asked:
         if topic is not None and topic not in kinds:
             there = ", ".join(t for kind in _KINDS for t in usable[kind]) or "none that can be used"
@@ -147,17 +131,17 @@ def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics
         if topic is not None and kinds[topic] not in kinds_asked:
             names = " or ".join(map(_short, kinds_asked))
             raise LogError(path, f"expected a topic of {names}, got {topic}, which is of {_short(kinds[topic])}")
-    scans = wanted.scans or tuple(usable[CLOUD][:1]) or tuple(usable[SCAN])
+    scans = wanted.scans or tuple(usable[ros.CLOUD][:1]) or tuple(usable[ros.SCAN])
     if not scans:
         raise LogError(path, "expected a topic of LaserScan or PointCloud2, found none")
-    odometry = wanted.odometry or (None if wanted.odometry_frame else next(iter(usable[ODOMETRY]), None))
+    odometry = wanted.odometry or (None if wanted.odometry_frame else next(iter(usable[ros.ODOMETRY]), None))
     read = [f"{topic} ({counts[topic]} {_short(kinds[topic])})" for topic in (*scans, odometry) if topic]
     rest = [topic for kind in _KINDS for topic in usable[kind] if topic not in (*scans, odometry)]
     notes.append("read " + ", ".join(read) + (f"; also there: {', '.join(rest)}" if rest else ""))
     return replace(wanted, scans=scans, odometry=odometry)
 
 
-_KINDS = (CLOUD, SCAN, ODOMETRY)
+_KINDS = (ros.CLOUD, ros.SCAN, ros.ODOMETRY)
 
 
 def _short(msgtype: str | None) -> str:
@@ -167,9 +151,9 @@ def _short(msgtype: str | None) -> str:
 
 def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partial: bool) -> _Found:
     """All messages of the chosen topics and of tf."""
-    found = _Found(Spool(path), Moves(chosen.odometry_frame))
+    found = _Found(Spool(path), ros.Moves(chosen.odometry_frame))
     wanted = {*chosen.scans, chosen.odometry}
-    connections = [c for c in reader.connections if c.topic in wanted or c.msgtype in TF]
+    connections = [c for c in reader.connections if c.topic in wanted or c.msgtype in ros.TF]
     messages = reader.messages(connections)
     while True:
         topic = "the bag"
@@ -190,25 +174,25 @@ def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partia
 
 def _take(found: _Found, topic: str, received: int, message: Any) -> None:
     kind = message.__msgtype__
-    if kind in TF:
+    if kind in ros.TF:
         for one in message.transforms:
-            parent, child = frame_of(one), str(one.child_frame_id).lstrip("/")
-            transform = transform_of(one.transform.translation, one.transform.rotation)
-            found.moves.add(stamp_of(one, received), parent, child, transform)
-    elif kind == ODOMETRY:
-        pose = transform_of(message.pose.pose.position, message.pose.pose.orientation)
-        found.moves.odometry.append((stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
-    elif kind == SCAN:
-        ranges, angles = scan_of(message)
+            parent, child = ros.frame_of(one), str(one.child_frame_id).lstrip("/")
+            transform = ros.transform_of(one.transform.translation, one.transform.rotation)
+            found.moves.add(ros.stamp_of(one, received), parent, child, transform)
+    elif kind == ros.ODOMETRY:
+        pose = ros.transform_of(message.pose.pose.position, message.pose.pose.orientation)
+        found.moves.odometry.append((ros.stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
+    elif kind == ros.SCAN:
+        ranges, angles = ros.scan_of(message)
         kept = found.spool.put(ranges), ranges.size
         if not np.array_equal(found.angles.get(topic, ()), angles):
             found.angles[topic] = angles
-        found.scans.append((stamp_of(message, received), topic, found.angles[topic], kept))
-        found.frames.setdefault(topic, frame_of(message))
+        found.scans.append((ros.stamp_of(message, received), topic, found.angles[topic], kept))
+        found.frames.setdefault(topic, ros.frame_of(message))
     else:
-        points_of(message)  # a wrong layout is said before any work is done
-        found.clouds.append((stamp_of(message, received), topic, received))
-        found.frames.setdefault(topic, frame_of(message))
+        ros.points_of(message)  # a wrong layout is said before any work is done
+        found.clouds.append((ros.stamp_of(message, received), topic, received))
+        found.frames.setdefault(topic, ros.frame_of(message))
 
 
 def _mounts(
@@ -218,27 +202,21 @@ def _mounts(
     mounts = {}
     for topic, frame in sorted(found.frames.items()):
         mount = np.eye(4) if frame == body else None if body is None else found.moves.frames.body_T(body, frame)
-        if mount is None and topic in mounted:
-            continue
-        if mount is None:
-            notes.append(f"no transform from {body or 'a body'} to {frame or 'the sensor'}: {topic} taken at the body")
-        else:
+        if mount is not None:
             mounts[names[topic]] = mount
+        elif topic not in mounted:
+            notes.append(f"no transform from {body or 'a body'} to {frame or 'the sensor'}: {topic} taken at the body")
     return mounts
 
 
 def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
     """Without scans and readings that have the time of the one before."""
-    last: dict[str, int] = {}
-    kept: list[Event] = []
+    kept: dict[tuple[str, int], Event] = {}
     for event in events:
-        name = "" if isinstance(event, OdometryReading) else event.sensor
-        if last.get(name) != event.stamp_ns:
-            kept.append(event)
-        last[name] = event.stamp_ns
+        kept.setdefault(("" if isinstance(event, OdometryReading) else event.sensor, event.stamp_ns), event)
     if len(kept) < len(events):
         notes.append(f"left out {len(events) - len(kept)} messages with the time of the one before")
-    return kept
+    return list(kept.values())
 
 
 def _cloud_at(path: Path, topic: str, grid: Grid | None, keep_partial: bool, received: int) -> FloatArray:
@@ -247,7 +225,7 @@ def _cloud_at(path: Path, topic: str, grid: Grid | None, keep_partial: bool, rec
     connections = [connection for connection in reader.connections if connection.topic == topic]
     try:
         for connection, _, raw in reader.messages(connections, start=received, stop=received + 1):
-            return arrange(points_of(reader.deserialize(raw, connection.msgtype)), grid)
+            return arrange(ros.points_of(reader.deserialize(raw, connection.msgtype)), grid)
     except Exception as error:  # as in opened
         raise LogError(path, f"{topic}: {in_short(error)}") from error
     raise LogError(path, f"expected a message of {topic} at {received} ns, found none")
