@@ -584,7 +584,7 @@ MUTATIONS = (
     Mutation(
         "a laser that nobody describes has the noise of a data sheet",
         "slam/io/default_rigs.py",
-        "seen_m = shown_by_lines(sensor, log.scans(name)) or TYPICAL_BEAM_SIGMA_M",
+        "seen_m = shown_by_lines(sensor, scans) or TYPICAL_BEAM_SIGMA_M",
         "seen_m = TYPICAL_BEAM_SIGMA_M",
         "tests/slam/sensors/test_rig.py",
     ),

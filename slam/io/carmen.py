@@ -163,22 +163,18 @@ def _lasers_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> di
 
 
 def _range_limit(own: np.ndarray) -> float:
-    """Ranges of a laser at or beyond this are no returns, m."""
-    stated, largest = own["range_max_m"], float(own["largest"].max())
-    limit = float(np.min(stated, initial=np.inf, where=~np.isnan(stated)))
-    sick = (none for low, high, none in _SICK_MODES if low <= largest <= high)
-    return min([limit, _no_return(own["largest"]), *sick])
-
-
-def _no_return(largest: np.ndarray) -> float:
-    """The reading that means "none" by the largest readings (N,) of scans, m; infinite without one.
+    """Ranges of a laser at or beyond this are no returns, m: what is stated, what a SICK says, or the same reading.
 
     What is far away is hardly ever read as the same number twice; what stands for nothing is the same in scan after
     scan.
     """
-    values, counts = np.unique(np.round(largest, 3), return_counts=True)
-    often = counts[-1] >= _NO_RETURN_SCANS and counts[-1] >= _NO_RETURN_RATIO * counts[:-1].max(initial=1)
-    return float(values[-1]) if often else float("inf")
+    stated, largest = own["range_max_m"], float(own["largest"].max())
+    limits = [float(np.min(stated, initial=np.inf, where=~np.isnan(stated)))]
+    limits += [none for low, high, none in _SICK_MODES if low <= largest <= high]
+    values, counts = np.unique(np.round(own["largest"], 3), return_counts=True)
+    if counts[-1] >= max(_NO_RETURN_SCANS, _NO_RETURN_RATIO * counts[:-1].max(initial=1)):
+        limits.append(float(values[-1]))
+    return min(limits)
 
 
 def _stated_mount(name: str, own: np.ndarray, offsets: dict[str, float]) -> FloatArray | None:
@@ -188,8 +184,7 @@ def _stated_mount(name: str, own: np.ndarray, offsets: dict[str, float]) -> Floa
         return planar_transform(offsets[name], 0.0, np.pi if name == "RLASER" else 0.0)
     if not len(pairs):
         return None
-    poses = zip(pairs["robot_pose"], pairs["laser_pose"], strict=True)
-    relative = np.array([_relative(robot, laser) for robot, laser in poses])
+    relative = np.array(list(map(_relative, pairs["robot_pose"], pairs["laser_pose"])))
     middle = np.median(relative, axis=0)
     if np.abs(relative - middle).max() > _SAME_MOUNT or (name == "RLASER" and not middle.any()):
         return None
@@ -209,7 +204,6 @@ class TableScans:
     """What the scans of one laser have in common."""
 
     sensor: str
-    """Its name."""
     rows: np.ndarray
     """The table: dtype `slam.io.carmen_records.ROW`."""
     spool: Spool
@@ -235,17 +229,16 @@ class TableScans:
         """Bearings, shape (B,), rad: the rig's, else the record's, else those of a SICK with that many beams."""
         key = (count, start, step) if np.isfinite(start) else (count,)  # NaN is never the same
         if key not in self._bearings:
-            self._bearings[key] = self._bearings_of(count, start, step)
+            self._bearings[key] = self._bearings_of(np.arange(count, dtype=np.float64), start, step)
         return self._bearings[key]
 
-    def _bearings_of(self, count: int, start: float, step: float) -> FloatArray:
+    def _bearings_of(self, beams: FloatArray, start: float, step: float) -> FloatArray:
         first, between = self.angles_deg
         if first is not None and between is not None:
-            degrees = first + between * np.arange(count, dtype=np.float64)
-            return np.asarray(np.deg2rad(degrees), dtype=np.float64)
+            return np.asarray(np.deg2rad(first + between * beams), dtype=np.float64)
         if np.isfinite(start):
-            return start + step * np.arange(count, dtype=np.float64)
-        return np.pi * np.arange(count, dtype=np.float64) / max(count - count % 2, 1) - np.pi / 2.0
+            return start + step * beams
+        return np.pi * beams / max(beams.size - beams.size % 2, 1) - np.pi / 2.0
 
     def pose(self, row: int) -> FloatArray | None:
         """world_T_body of a record, shape (4, 4); None: it gives none."""

@@ -60,11 +60,7 @@ class RawLog:
         return np.frombuffer(self.packed, dtype=ROW)
 
     def take(self, line: str, number: int) -> None:
-        """Keep what is told by a line, with its number, that is neither empty nor a comment.
-
-        Raises:
-            ValueError: one sentence on what is wrong with the line.
-        """
+        """Keep what is told by a line, neither empty nor a comment; a ValueError says what is wrong with it."""
         words = line.split()
         keyword = words[0]
         if keyword == ODOM:
@@ -150,21 +146,21 @@ def _pose(words: list[str], place: int) -> list[float]:
 def read_records(path: Path, keep_partial: bool) -> RawLog:
     """Read all records; a stream or a last line that breaks off is an error, or a note with `keep_partial`."""
     raw, number = RawLog(Spool(path)), 0
-    broken: tuple[int, str] | None = None
+    broken: LogError | None = None
     try:
         for number, line in numbered_lines(path, LONGEST_LINE):
-            if broken:
-                raise LogError(path, broken[1], line=broken[0])
+            if broken:  # in the middle
+                raise broken
             try:
                 raw.take(line, number)
             except ValueError as error:
-                broken = (number, str(error))
+                broken = LogError(path, str(error), line=number)
     except BROKEN as error:
-        broken = broken or (number + 1, f"the gzip stream breaks off here ({str(error)[:60]})")
+        broken = broken or LogError(path, f"the gzip stream breaks off here ({str(error)[:60]})", line=number + 1)
     if broken and not keep_partial:
-        offer = f"; {KEEPS_THE_REST}" if broken[0] > 1 else ""
-        raise LogError(path, f"{broken[1]}{offer}", line=broken[0])
+        offer = f"; {KEEPS_THE_REST}" if broken.line and broken.line > 1 else ""
+        raise LogError(path, f"{broken.problem}{offer}", line=broken.line)
     if broken:
-        raw.notes.append(f"{path}:{broken[0]}: {broken[1]}; kept what came before")
+        raw.notes.append(f"{broken}; kept what came before")
     raw.notes += [f"skipped {count} {name} records" for name, count in sorted(raw.skipped.items())]
     return raw

@@ -106,7 +106,6 @@ def depth_rig() -> Rig:
     fr3_cabinet) angles between the same planes differ by 0.56 deg rms, by 0.50 deg once that is taken off
     (`slam.frontend.warp_calibration`); the height of its top by 3.7 mm.
     """
-    clouds = cloud_rig()
     camera = Sensor(
         kind="cloud",
         body_T_sensor=Mount.of(CAMERA_MOUNT),
@@ -119,7 +118,7 @@ def depth_rig() -> Rig:
         plane_sigma_m=0.003,
         plane_sigma_rad=0.006,
     )
-    return Rig(sensors={CAMERA: camera}, odometry=MEASURED, localisation=clouds.localisation)
+    return Rig(sensors={CAMERA: camera}, odometry=MEASURED, localisation=cloud_rig().localisation)
 
 
 #: Steps of ranges that lasers use, m.
@@ -142,38 +141,39 @@ def default_rig_for(log: Log) -> Rig:
 
     Lasers sit where the log says, else at the robot's centre; the step of the ranges is found in the ranges.
     """
-    names = list(dict.fromkeys(scan.sensor for scan in log.scans() if isinstance(scan, LaserScan)))
-    if not names:
-        raise LogError(log.source, "expected laser scans, got none")
-    return Rig(sensors={name: _default_laser(name, log) for name in names}, odometry=UNCALIBRATED_WHEELS)
-
-
-def _default_laser(name: str, log: Log) -> Sensor:
-    steps, largest = _STEPS_M, 0.0
-    for scan in log.scans(name):
+    scans: dict[str, list[LaserScan]] = {}
+    for scan in log.scans():
         if isinstance(scan, LaserScan):
-            seen = scan.ranges[np.isfinite(scan.ranges)]
-            steps = _steps_of(seen, steps)
-            largest = max(largest, float(seen.max(initial=0.0)))
-    told = log.mounts.get(name)
+            scans.setdefault(scan.sensor, []).append(scan)
+    if not scans:
+        raise LogError(log.source, "expected laser scans, got none")
+    lasers = {name: _default_laser(name, own, log.mounts.get(name)) for name, own in scans.items()}
+    return Rig(sensors=lasers, odometry=UNCALIBRATED_WHEELS)
+
+
+def _default_laser(name: str, scans: list[LaserScan], told: FloatArray | None) -> Sensor:
+    steps, largest = _STEPS_M, 0.0
+    for scan in scans:
+        seen = scan.ranges[np.isfinite(scan.ranges)]
+        steps = _steps_of(seen, steps)
+        largest = max(largest, float(seen.max(initial=0.0)))
     sensor = Sensor(
         kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
         record=name,
-        body_T_sensor=_default_mount(name, log),
+        body_T_sensor=_default_mount(name, told),
         range_sigma_m=TYPICAL_BEAM_SIGMA_M,
         quantisation_m=max(steps, default=0.0) if largest else 0.0,
         range_max_m=largest + 0.01 if largest else 80.0,
         surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
         surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
     )
-    seen_m = shown_by_lines(sensor, log.scans(name)) or TYPICAL_BEAM_SIGMA_M
+    seen_m = shown_by_lines(sensor, scans) or TYPICAL_BEAM_SIGMA_M
     uneven = float(np.hypot(DEFAULT_SURFACE_SIGMA_M, _IN_COMMON * seen_m))
     return with_beam_sigma(sensor.model_copy(update={"surface_sigma_m": uneven}), seen_m)
 
 
-def _default_mount(name: str, log: Log) -> Mount:
+def _default_mount(name: str, told: FloatArray | None) -> Mount:
     """The mount the log tells; else the robot's centre, a rear laser looking back."""
-    told = log.mounts.get(name)
     if told is None:
         return Mount(rpy_deg=(0.0, 0.0, 180.0 if name == "RLASER" else 0.0))
     is_level = np.abs(told[2, :2]).max() < 1e-9 and told[2, 2] > 0.0  # it only turns about z

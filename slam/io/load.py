@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from slam.errors import LogError, check_cloud_given, check_log_given
+from slam.io import default_rigs as rigs
 from slam.io.carmen import read_carmen
 from slam.io.cloud_folders import clouds_in, has_clouds, read_cloud_folder, read_e57_log
 from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.cloud import grid_of
 from slam.io.clouds.depth import is_depth_folder, read_depth_folder
-from slam.io.default_rigs import (
-    assumptions,
-    bag_rig,
-    cloud_rig,
-    default_rig_for,
-    depth_rig,
-    threedtk_rig,
-    turned_laser_rig,
-)
 from slam.io.plausibility import plausible
 from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
 from slam.io.scan_files import first_file, with_odometry
 from slam.io.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
 from slam.io.threedtk import read_points as read_3dtk_points
 from slam.sensors.log import CloudScan, Log
-from slam.sensors.rig import Rig, Sensor
+from slam.sensors.rig import Rig
+from spplanes._check import FloatArray
 from spplanes.clouds.arrange import arrange, shows_lines
 
 #: Name of the rig file that a folder of a mission carries.
@@ -72,7 +64,7 @@ def load(
         log = with_odometry(log, odometry)
     log = plausible(log, sensors)
     if rig is None:
-        log.assumed.extend(assumptions(log, sensors))
+        log.assumed.extend(rigs.assumptions(log, sensors))
     return log, sensors
 
 
@@ -88,14 +80,13 @@ def load_cloud(path: Path) -> tuple[Log, Rig]:
     path = Path(path)
     check_cloud_given(path)
     if is_3dtk_scan(path):
-        points, rig = read_3dtk_points(path), threedtk_rig()
+        points, rig = read_3dtk_points(path), rigs.threedtk_rig()
     else:
         cloud = read_cloud(path)
-        points = cloud.points
-        rig = depth_rig() if cloud.is_depth_image else turned_laser_rig() if shows_lines(points) else cloud_rig()
+        points, rig = cloud.points, rigs.depth_rig() if cloud.is_depth_image else _rig_by_order(cloud.points)
     ((name, sensor),) = rig.sensors.items()
     log = plausible(Log([CloudScan(0, name, arrange(points, grid_of(sensor)))], path), rig)
-    log.assumed.extend(assumptions(log, rig))
+    log.assumed.extend(rigs.assumptions(log, rig))
     return log, rig
 
 
@@ -108,7 +99,7 @@ def _load(path: Path, rig: Rig | None, keep_partial: bool, topics: Topics, odome
     if path.is_dir():
         return _load_folder(path, rig, keep_partial, odometry)
     if path.suffix.lower() == ".e57":
-        return _of_one_sensor(path, rig or cloud_rig(), read_e57_log)
+        return _of_one_sensor(path, rig or rigs.cloud_rig(), read_e57_log)
     if is_cloud_file(path) and path.suffix.lower() not in (".txt", ".csv"):
         raise LogError(path, "expected a log, got one cloud: give it to `spplanes fit`, or a folder of clouds")
     return _load_carmen(path, rig, keep_partial)
@@ -123,13 +114,11 @@ def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path
     if mission is not None:
         kinds["a mission's log"] = lambda: _load_carmen(mission, rig, keep_partial)
     if is_3dtk_folder(path):
-        kinds["3DTK scans"] = lambda: (read_3dtk(path), rig or threedtk_rig())
+        kinds["3DTK scans"] = lambda: (read_3dtk(path), rig or rigs.threedtk_rig())
     if is_depth_folder(path):
-        read_images = partial(read_depth_folder, odometry=odometry)
-        kinds["depth images"] = lambda: _of_one_sensor(path, rig or depth_rig(), read_images)
+        kinds["depth images"] = lambda: _of_one_sensor(path, rig or rigs.depth_rig(), read_depth_folder, odometry)
     if has_clouds(path, surely=bool(kinds)):
-        read_clouds = partial(read_cloud_folder, odometry=odometry)
-        kinds["clouds"] = lambda: _of_one_sensor(path, rig or _rig_of_clouds(path), read_clouds)
+        kinds["clouds"] = lambda: _of_one_sensor(path, rig or _rig_of_clouds(path), read_cloud_folder, odometry)
     if kinds:
         first, *others = kinds
         log, rig_of_log = kinds[first]()
@@ -144,37 +133,40 @@ def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path
 
 def _load_carmen(path: Path, rig: Rig | None, keep_partial: bool) -> tuple[Log, Rig]:
     log = read_carmen(path, rig=rig, keep_partial=keep_partial)
-    return log, rig or default_rig_for(log)
+    return log, rig or rigs.default_rig_for(log)
 
 
 def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -> tuple[Log, Rig]:
     if rig is None:
         log = read_rosbag(path, topics, keep_partial=keep_partial)
-        return log, bag_rig(log, topics)
+        return log, rigs.bag_rig(log, topics)
     names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
-    if topics.odometry or topics.odometry_frame:  # what is given stands in for what the rig says, for a resumed run too
-        given = {"odometry_record": topics.odometry, "odometry_frame": topics.odometry_frame}
-        rig = rig.model_copy(update=given)
-    if topics.body_frame:
-        rig = rig.model_copy(update={"body_frame": topics.body_frame})
+    given = {"body_frame": topics.body_frame} if topics.body_frame else {}
+    if topics.odometry or topics.odometry_frame:
+        given |= {"odometry_record": topics.odometry, "odometry_frame": topics.odometry_frame}
+    rig = rig.model_copy(update=given)  # what is given stands in for what the rig says, for a resumed run too
     wanted = Topics(topics.scans or tuple(names), rig.odometry_record, rig.odometry_frame, rig.body_frame)
     grids = {name: grid for name, sensor in rig.sensors.items() if (grid := grid_of(sensor)) is not None}
     return read_rosbag(path, wanted, names=names, grids=grids, keep_partial=keep_partial), rig
 
 
 def _rig_of_clouds(folder: Path) -> Rig:
-    """For clouds nobody describes: of a turned laser where the order of the first one's points shows its lines."""
+    """For clouds nobody describes, by the first of them."""
     try:
-        is_turned = shows_lines(read_cloud(clouds_in(folder)[0]).points)
+        return _rig_by_order(read_cloud(clouds_in(folder)[0]).points)
     except LogError:  # a cloud that cannot be read is left out when its turn comes
-        is_turned = False
-    return turned_laser_rig() if is_turned else cloud_rig()
+        return rigs.cloud_rig()
 
 
-def _of_one_sensor(path: Path, rig: Rig, read: Callable[[Path, str, Sensor], Log]) -> tuple[Log, Rig]:
+def _rig_by_order(points: FloatArray) -> Rig:
+    """Of a turned laser where the order of the points shows its lines."""
+    return rigs.turned_laser_rig() if shows_lines(points) else rigs.cloud_rig()
+
+
+def _of_one_sensor(path: Path, rig: Rig, read: Callable[..., Log], *odometry: Path | None) -> tuple[Log, Rig]:
     """The scans of the one 3D sensor in a rig, by the reader of their kind."""
     sensors = rig.of_kind("cloud")
     if len(sensors) != 1:
         raise LogError(path, f"expected a rig with one sensor of kind cloud for these scans, got {len(sensors)}")
     ((name, sensor),) = sensors.items()
-    return read(path, name, sensor), rig
+    return read(path, name, sensor, *odometry), rig

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from slam.errors import LogError
-from slam.geometry.frames import angle_of, evenly, inverse
+from slam.geometry.frames import are_apart, evenly
 from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
@@ -30,8 +30,7 @@ Scan = TypeVar("Scan", LaserScan, CloudScan)
 def plausible(log: Log, rig: Rig) -> Log:
     """The log without the scans that were not made when and where they say, which its notes tell of.
 
-    Raises:
-        LogError: no scan can be read, all have one time, or distances are in another unit than metres.
+    One of which no scan can be read, all have one time, or distances are in another unit than metres is refused.
     """
     scans, level = log.scans(), rig.of_kind("line")
     clouds = [scan for scan in scans if isinstance(scan, CloudScan)]
@@ -50,21 +49,15 @@ def check_events(log: Log) -> None:
     """Refuse a log, made by hand as like as not, whose events are out of order or are not what their class says.
 
     What is read from files when it is asked for is checked then.
-
-    Raises:
-        LogError: times run backwards, a pose that is not finite or no (4, 4), or a 2D scan without an angle a range.
     """
-    before_ns = None
-    for event in log.events:
-        problem = _problem_of(event, before_ns)
-        if problem:
+    for before, event in pairwise([*log.events[:1], *log.events]):
+        if problem := _problem_of(event, before.stamp_ns):
             raise LogError(log.source, f"at {event.stamp_ns / 1e9:.3f} s: {problem}")
-        before_ns = event.stamp_ns
 
 
-def _problem_of(event: Event, before_ns: int | None) -> str:
+def _problem_of(event: Event, before_ns: int) -> str:
     """What is amiss with an event, after one of a time, in a clause; nothing where nothing is."""
-    if before_ns is not None and event.stamp_ns < before_ns:
+    if event.stamp_ns < before_ns:
         return f"expected events in the order of their times, got this one after {before_ns / 1e9:.3f} s"
     if type(event) is OdometryReading:
         pose = np.asarray(event.odom_T_body)
@@ -86,7 +79,9 @@ def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], np.
         if number >= len(few) and (medians or failure is None):
             break  # more are looked at only where none of the few could be read
         try:
-            medians += _median_of(distances(scan))
+            seen = distances(scan)
+            returns = seen[np.isfinite(seen) & (seen > 0.0)]
+            medians += [float(np.median(returns))] if len(returns) else []
         except LogError as error:
             failure = failure or error
     if failure is not None and not medians:
@@ -97,12 +92,6 @@ def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], np.
             f"half of the returns are more than {min(medians):,.0f} m away: expected metres from the sensor; are these "
             "millimetres, or coordinates on a map?",
         )
-
-
-def _median_of(distances: np.ndarray) -> list[float]:
-    """Of the returns; nothing where there are none."""
-    returns = distances[np.isfinite(distances) & (distances > 0.0)]
-    return [float(np.median(returns))] if len(returns) else []
 
 
 def _check_times(log: Log, sensor: str, scans: list[LaserScan]) -> None:
@@ -122,11 +111,16 @@ def _frozen(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
     if not readings:
         return set()
     stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
+
+    def at(scan: LaserScan) -> FloatArray:
+        """The last odometry up to a scan, odom_T_body (4, 4)."""
+        return readings[max(int(np.searchsorted(stamps, scan.stamp_ns, side="right")) - 1, 0)].odom_T_body
+
     frozen: set[int] = set()
     for _, alike in groupby(scans, key=lambda scan: scan.ranges.tobytes()):
         first, *others = alike
-        there = _reading_at(readings, stamps, first)
-        again = {id(scan) for scan in others if _moved(there, _reading_at(readings, stamps, scan))}
+        there = at(first)
+        again = {id(scan) for scan in others if are_apart(there, at(scan), _MOVED_M, _MOVED_RAD)}
         frozen |= again if len(again) >= _FEW else set()
     if frozen:
         times = [scan.stamp_ns * 1e-9 for scan in scans if id(scan) in frozen]
@@ -135,13 +129,3 @@ def _frozen(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
             f"{times[-1]:.3f} s: these scans were left out"
         )
     return frozen
-
-
-def _reading_at(readings: list[OdometryReading], stamps: np.ndarray, scan: LaserScan) -> FloatArray:
-    """The last odometry up to a scan, odom_T_body (4, 4)."""
-    return readings[max(int(np.searchsorted(stamps, scan.stamp_ns, side="right")) - 1, 0)].odom_T_body
-
-
-def _moved(a: FloatArray, b: FloatArray) -> bool:
-    a_T_b = inverse(a) @ b
-    return bool(np.linalg.norm(a_T_b[:3, 3]) > _MOVED_M or angle_of(a_T_b) > _MOVED_RAD)

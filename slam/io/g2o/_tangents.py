@@ -39,13 +39,9 @@ def plane_jacobian(measured: gtsam.OrientedPlane3, body_R_sensor: FloatArray) ->
 def measured_plane(seen: gtsam.OrientedPlane3, step: FloatArray) -> tuple[gtsam.OrientedPlane3, FloatArray]:
     """The plane whose `LocalOrientedPlane3Factor` has at `seen` the error and the slope that a given factor has there.
 
-    Args:
-        seen: the plane in the frame of the pose.
-        step: shape (3,), the tangent step from `seen` against which the given factor's error grows: with its whitened
-            error w and Jacobian A at `seen`, A step = w.
-
-    Returns:
-        The plane m with e(m) = D(m) step, and D, the derivative (3, 3) of the error e by the tangent of `seen`.
+    Of `seen`, the plane in the frame of the pose, and the tangent `step` (3,) from it against which the given factor's
+    error grows: with its whitened error w and Jacobian A at `seen`, A step = w. Returns the plane m with e(m) = D(m)
+    step, and D, the derivative (3, 3) of the error e by the tangent of `seen`.
     """
     measured = seen.retract(-step)
     for _ in range(_STEPS):
