@@ -10,15 +10,15 @@ from spplanes._check import FloatArray
 #: Rotations (3, 3) of the sensor frames that planes are measured in: the body's own, and one whose x axis is its z.
 #: g2o writes the error of a plane in azimuth and elevation of its normal, which know no direction at the poles: a
 #: floor is measured in the second frame, where it is a wall.
-LEVEL, UPRIGHT = np.eye(3), np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+SENSORS = np.eye(3), np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 #: Above this |n_z| a plane is measured in the second frame: the poles of both are equally far.
 _STEEP = np.sqrt(0.5)
 _STEPS = 30
 
 
-def sensor_rotation(normal: FloatArray) -> FloatArray:
-    """The one of the two sensor frames in which a normal (3,) of the body frame is far from the poles."""
-    return UPRIGHT if abs(normal[2]) > _STEEP else LEVEL
+def sensor_for(normal: FloatArray) -> int:
+    """Which of `SENSORS` has a normal (3,) of the body frame far from its poles."""
+    return int(abs(normal[2]) > _STEEP)
 
 
 def plane_jacobian(measured: gtsam.OrientedPlane3, body_R_sensor: FloatArray) -> FloatArray:

@@ -14,14 +14,7 @@ import numpy as np
 
 from factors import landmark_anchors
 from factors._custom import Recipe, VelocityRecipe, describe
-from slam.io.g2o._tangents import (
-    LEVEL,
-    UPRIGHT,
-    measured_plane,
-    plane_jacobian,
-    pose_jacobian,
-    sensor_rotation,
-)
+from slam.io.g2o._tangents import SENSORS, measured_plane, plane_jacobian, pose_jacobian, sensor_for
 from slam.io.g2o.reader import G2oGraph
 from slam.io.raw import numbered_words
 from spplanes._check import FloatArray
@@ -124,9 +117,8 @@ class _Writer:
         self._factors: list[Any] = [graph.at(i) for i in range(graph.size()) if graph.exists(i)]
         for key in graph.keyVector():
             if not values.exists(key):
-                raise ValueError(
-                    f"values: expected one for every variable, got none for {gtsam.DefaultKeyFormatter(key)}"
-                )
+                name = gtsam.DefaultKeyFormatter(key)
+                raise ValueError(f"values: expected one for every variable, got none for {name}")
         self._anchors = {plane: anchor for plane, anchor in landmark_anchors(graph).items() if anchor is not None}
 
     def lines(self) -> list[str]:
@@ -139,7 +131,7 @@ class _Writer:
 
     def _vertices(self) -> list[str]:
         lines = [f"VERTEX_SE3:QUAT {i} {_pose(self.values.atPose3(key))}" for key, i in self.poses.items()]
-        for offset, rotation in ((self._level, LEVEL), (self._level + 1, UPRIGHT)):
+        for offset, rotation in enumerate(SENSORS, self._level):
             pose = gtsam.Pose3(gtsam.Rot3(rotation), np.zeros(3))
             lines += [f"VERTEX_SE3:QUAT {offset} {_pose(pose)}", f"FIX {offset}"]
         for key, i in self.planes.items():
@@ -187,10 +179,9 @@ class _Writer:
         return f"EDGE_SE3_PRIOR {self.poses[key]} 0 {_pose(measured)} {_upper(root.T @ root)}"
 
     def _plane_edge(self, factor: Any, sighting: _Sighting) -> str:
-        observer = sighting.pose_key
+        observer, seen = sighting.pose_key, self._in_world(sighting.plane_key)
         if observer is None and not sighting.in_world:
             observer = self._anchors.get(sighting.plane_key)
-        seen = self._in_world(sighting.plane_key)
         if observer is not None:
             seen = seen.transform(self.values.atPose3(observer))
         origins = {key: gtsam.Pose3() for key in factor.keys() if key != sighting.plane_key}  # noqa: SIM118
@@ -198,12 +189,12 @@ class _Writer:
         matrix = matrix[:, -3:]
         step = np.asarray(np.linalg.lstsq(matrix, -rest, rcond=1e-12)[0], dtype=np.float64)
         measured, slope = measured_plane(seen, step)
-        rotation = sensor_rotation(measured.normal().point3())
-        offset = self._level + int(rotation is UPRIGHT)
+        sensor = sensor_for(measured.normal().point3())
+        rotation = SENSORS[sensor]
         root = matrix @ np.linalg.inv(plane_jacobian(measured, rotation) @ slope)
         in_sensor = measured.transform(gtsam.Pose3(gtsam.Rot3(rotation), np.zeros(3)))
         pose = self._level if observer is None else self.poses[observer]
-        ids = f"{pose} {self.planes[sighting.plane_key]} {offset}"
+        ids = f"{pose} {self.planes[sighting.plane_key]} {self._level + sensor}"
         coefficients = _numbers(in_sensor.planeCoefficients())
         return f"EDGE_SE3_PLANE_CALIB {ids} {coefficients} {_PLANE_RGB} {_upper(root.T @ root)}"
 
