@@ -21,8 +21,6 @@ from tests.spplanes.scenes import spun, to_walls
 
 #: Half sizes of the room round the world's origin, m.
 ROOM = np.array([4.0, 3.0, 1.3])
-
-
 #: Two scans of a CARMEN log.
 CARMEN_LINES = "".join(f"FLASER 3 1.0 2.0 1.5 0 0 0 {k}.0 0 0 {k}.0 host {k}.0\n" for k in (1, 2))
 
@@ -124,16 +122,6 @@ def test_kitti_poses_in_order_or_by_number(folder: Path):
         folder_read(folder)
 
 
-def test_odometry_beside_poses(folder: Path):
-    write_kitti(folder / "poses.txt", POSES)
-    drifting = np.array([pose(0.5 * k, 0.0, 0.0) for k in range(4)])
-    write_kitti(folder / "odometry.txt", drifting)
-    log = folder_read(folder)
-    np.testing.assert_array_equal(poses_of(log), POSES)
-    np.testing.assert_array_equal([reading.odom_T_body for reading in log.odometry], drifting)
-    assert log.notes == []
-
-
 def test_kitti_layout(tmp_path: Path):
     (tmp_path / "velodyne").mkdir()
     for k in range(3):
@@ -147,11 +135,9 @@ def test_kitti_layout(tmp_path: Path):
 
 
 def test_the_most_clouds_of_one_format_are_the_scans(folder: Path):
-    (folder / "notes.txt").write_text("seen on Monday\n")
-    (folder / "whole.ply").write_text("ply\n")
-    assert {path.suffix for path in clouds_in(folder)} == {".ply"}  # arrays may be anything, PLY files are clouds
-    (folder / "whole.ply").unlink()
-    assert {path.suffix for path in clouds_in(folder)} == {".npy"}
+    for name, suffix in (("notes.txt", ".npy"), ("whole.ply", ".ply")):  # arrays may be anything, PLY files are clouds
+        (folder / name).write_text("seen on Monday\n")
+        assert {path.suffix for path in clouds_in(folder)} == {suffix}
 
 
 def test_what_a_mixed_folder_leaves_out_is_said(tmp_path: Path):

@@ -68,6 +68,11 @@ def test_poses_beside_clouds_are_poses_and_no_odometry(clouds: Path, name: str):
 
 def test_odometry_given_takes_the_place_of_the_folders_own(clouds: Path, tmp_path: Path):
     write_kitti(clouds / "odometry.txt", POSES)
+    write_kitti(clouds / "poses.txt", POSES[::-1])
+    log, _ = load(clouds)
+    np.testing.assert_array_equal([one.odom_T_body for one in log.odometry], POSES)
+    np.testing.assert_array_equal([one.world_T_body for one in log.scans()], POSES[::-1])
+    assert log.notes == []
     drifting = np.array([pose(0.3 * k, 0.0, 0.0) for k in range(4)])
     write_kitti(tmp_path / "other.txt", drifting)
     log, _ = load(clouds, odometry=tmp_path / "other.txt")

@@ -20,8 +20,7 @@ def scanner_points(range_cm: float = 250.0) -> np.ndarray:
     """A scanner that tilts about 3DTK's x axis, every beam at one range, shape (LINES * BEAMS, 3), cm."""
     bearing = np.deg2rad(np.linspace(0.0, 180.0, BEAMS))
     tilt = np.deg2rad(np.linspace(-40.0, 60.0, LINES))[:, None]
-    x = np.cos(bearing) + 0.0 * tilt
-    across = np.sin(bearing) + 0.0 * tilt
+    x, across = np.cos(bearing) + 0.0 * tilt, np.sin(bearing)
     return range_cm * np.stack((x, across * np.sin(tilt), across * np.cos(tilt)), axis=-1).reshape(-1, 3)
 
 

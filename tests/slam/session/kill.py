@@ -6,9 +6,10 @@ import signal
 import sqlite3
 import time
 from collections import Counter
-from dataclasses import dataclass
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,16 +27,12 @@ from slam.simulation.robots import VERTICAL
 CONFIG = SlamConfig.model_validate({"keyframes": {"distance_m": 0.1}})
 
 
-@dataclass(frozen=True)
-class Job:
-    """A mission and its run without interruption."""
+class Job(NamedTuple):
+    """A mission and its run without interruption: their folders, and how long it took."""
 
     mission: Path
-    """Folder of the mission."""
     whole: Path
-    """Folder of the run."""
     seconds: float
-    """How long that took."""
 
 
 def prepare(folder: Path, scans: int) -> Job:
@@ -52,14 +49,14 @@ def prepare(folder: Path, scans: int) -> Job:
 
 def work(mission: Path, out: Path) -> None:
     """Run the mission, or go on with its run."""
-    if (out / SESSION_FILE).exists():
-        with resumed_run(out) as (slam, log, rig):
-            done = run_slam(log, rig, slam.config, slam=slam)
-            conclude(done, out, partial(_results, done.slam))
-        return
-    log, rig = load(mission)
-    with new_run(out, log, rig, CONFIG, Source(mission), prior=None, overwrite=out.exists()) as slam:
-        done = run_slam(log, rig, CONFIG, slam=slam)
+    with ExitStack() as stack:
+        if (out / SESSION_FILE).exists():
+            slam, log, rig = stack.enter_context(resumed_run(out))
+        else:
+            log, rig = load(mission)
+            run = new_run(out, log, rig, CONFIG, Source(mission), prior=None, overwrite=out.exists())
+            slam = stack.enter_context(run)
+        done = run_slam(log, rig, slam.config, slam=slam)
         conclude(done, out, partial(_results, done.slam))
 
 
