@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -61,7 +60,8 @@ def _chosen(folder: Path) -> tuple[list[Path], list[str]]:
     for place in (folder, *(folder / name for name in _INSIDE)):
         if not place.is_dir():
             continue
-        found = [entry for entry in place.iterdir() if _is_scan(entry)]
+        files = (entry for entry in place.iterdir() if entry.is_file() and entry.name not in _NOT_CLOUDS)
+        found = [entry for entry in files if is_cloud_file(entry)]
         if found:
             counts = Counter(entry.suffix.lower() for entry in found)
             suffix = max(sorted(counts), key=lambda ending: (ending not in _AMBIGUOUS, counts[ending]))
@@ -108,10 +108,6 @@ def read_e57_log(path: Path, name: str, sensor: Sensor) -> Log:
         for index, (cloud, pose) in enumerate(zip(clouds, told, strict=True))
     ]
     return Log(events, path, [] if poses is None else [_no_odometry(None)])
-
-
-def _is_scan(path: Path) -> bool:
-    return path.is_file() and is_cloud_file(path) and path.name not in _NOT_CLOUDS
 
 
 def _order(path: Path) -> tuple[list[tuple[int, str]], str]:
@@ -199,8 +195,11 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
     stamps = [scan.stamp_ns for scan in scans]
     (folder / "times.txt").write_bytes("".join(seconds_from_ns(stamp) + "\n" for stamp in stamps).encode("ascii"))
     odometry = [event for event in log.events if isinstance(event, OdometryReading)]
-    _write_poses(folder / "odometry.tum", [one.stamp_ns for one in odometry], [one.odom_T_body for one in odometry])
-    _write_poses(folder / "poses.tum", stamps, [one.world_T_body for one in scans if one.world_T_body is not None])
+    driven = [one.stamp_ns for one in odometry], [one.odom_T_body for one in odometry]
+    told = stamps, [one.world_T_body for one in scans if one.world_T_body is not None]
+    for name, (times, poses) in (("odometry.tum", driven), ("poses.tum", told)):
+        if poses:
+            write_tum(folder / name, Trajectory(np.array(times, dtype=np.int64), np.array(poses)))
 
 
 def _scans(log: Log) -> list[CloudScan]:
@@ -212,8 +211,3 @@ def _scans(log: Log) -> list[CloudScan]:
     if len({scan.world_T_body is None for scan in clouds}) != 1:
         raise ValueError("log: expected a pose of the robot with every scan or with none, got some")
     return clouds
-
-
-def _write_poses(path: Path, stamps: Sequence[int], poses: Sequence[FloatArray]) -> None:
-    if poses:
-        write_tum(path, Trajectory(np.array(stamps, dtype=np.int64), np.array(poses)))

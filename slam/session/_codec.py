@@ -70,8 +70,7 @@ class CodecError(ValueError):
 def encode(value: Any) -> bytes:
     """A value out of plain numbers, strings, lists, tuples, dicts, arrays, shapely geometries and the known classes.
 
-    Raises:
-        ValueError: a field of a known class holds something else than the class states; a value there is no form for.
+    A ValueError refuses what there is no form for, and fields of a known class that hold else than the class states.
     """
     writer = _Writer()
     text = json.dumps(writer.plain(value), separators=(",", ":")).encode()
@@ -81,8 +80,7 @@ def encode(value: Any) -> bytes:
 def decode(data: bytes, hint: Any = None) -> Any:
     """Inverse of `encode`; arrays are C-contiguous copies of their own. `hint`: type of what it should be, or anything.
 
-    Raises:
-        CodecError: the bytes are not of this form, name a class that is none of ours, or make no such object.
+    A CodecError says that bytes are not of this form, name a class that is none of ours, or make no such object.
     """
     try:
         (size,) = _LENGTH.unpack_from(data)

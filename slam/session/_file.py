@@ -153,11 +153,7 @@ def digest(*parts: bytes | str | int | None) -> bytes:
 
 
 def fingerprint(path: Path) -> dict[str, int | str]:
-    """Size and checksum of a log: of its files in order of their names, the largest only of their two ends.
-
-    Raises:
-        OSError: one of them cannot be read.
-    """
+    """Size and checksum of a log: of its files in order of their names, the largest only of their two ends."""
     files = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
     state, total = hashlib.blake2b(digest_size=_SIZE), 0
     for file in files:

@@ -41,12 +41,10 @@ def preallocate_journal(path: Path) -> None:
     journal = path.with_name(path.name + "-wal")
     with suppress(OSError), journal.open("r+b", buffering=0) as file:  # else there is none to be made larger
         size = file.seek(0, os.SEEK_END)
-        room = max(_ROOM - size, 0)
-        try:
-            enough = file.write(bytes(room)) == room
-        except OSError:
-            enough = False
-        if not enough:
+        room, written = max(_ROOM - size, 0), 0
+        with suppress(OSError):
+            written = file.write(bytes(room))
+        if written < room:
             file.truncate(size)
         os.fsync(file.fileno())
 
@@ -60,10 +58,8 @@ def writing(path: Path) -> Iterator[int]:
     """Be the writer: an exclusive `flock` on a file beside the session, which goes away at the end; gives its handle.
 
     After a kill the next writer finds it free. Not on the database itself: closing any handle of that would drop
-    SQLite's own locks in this process. The file holds what was promised (`promise`), and stays while it does.
-
-    Raises:
-        SessionError: somebody else is, or the lock's file cannot be made.
+    SQLite's own locks in this process. The file holds what was promised (`promise`), and stays while it does. Where
+    somebody else is, or the lock's file cannot be made, that is a SessionError.
     """
     lock, process = path.with_name(path.name + _LOCK), os.getpid()
     try:

@@ -142,7 +142,7 @@ class PriorMap:
             raise CodecError(f"expected a prior map, got something else ({error})") from error
 
 
-def space_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
+def space_start(sigma_m: float, sigma_rad: float) -> FloatArray:
     """Covariance (6, 6) of a start that is known to ``sigma_m`` and ``sigma_rad`` in all directions, off any floor."""
     return np.diag(np.square(np.repeat([sigma_m, sigma_rad], 3)))
 

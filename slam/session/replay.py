@@ -82,7 +82,7 @@ class SessionRecorder(Recorder):
 
     Args:
         session: open for writing, or read only to replay it.
-        log: the log whose scans these are, so that each is recorded with its place there.
+        log: whose scans these are, so that each is recorded with its place there.
         raw: "reference": sensor, time and place in the log of every raw scan; "value": the scan itself as well.
         forget: keep measurements on disk alone, so that memory does not grow with them.
     """

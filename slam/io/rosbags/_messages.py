@@ -124,13 +124,10 @@ class Frames:
         if known[0] != parent or np.abs(known[1] - parent_T_child).max() > _STILL:
             self._moving.add(child)
 
-    def __contains__(self, frame: str) -> bool:
-        return frame in self._parents or any(parent == frame for parent, _ in self._parents.values())
-
     @property
-    def names(self) -> str:
-        """All frames, for a sentence."""
-        return ", ".join(sorted({*self._parents, *(parent for parent, _ in self._parents.values())})) or "none"
+    def names(self) -> set[str]:
+        """All of them."""
+        return {*self._parents, *(parent for parent, _ in self._parents.values())}
 
     @property
     def moving_roots(self) -> dict[str, str]:
@@ -187,16 +184,16 @@ def odometry_of(
     """
     child, poses = _told_odometry(path, found, notes)
     if body is None or body == child:
-        return child or next((frame for frame in BODIES if frame in found.frames), None), poses
+        return child or next((frame for frame in BODIES if frame in found.frames.names), None), poses
     if child is None:
-        if poses or body in found.frames:
+        if poses or body in found.frames.names:
             return body, poses
-        raise LogError(path, f"--body-frame: expected a frame of tf, got {body}; there are {found.frames.names}")
+        there = ", ".join(sorted(found.frames.names)) or "none"
+        raise LogError(path, f"--body-frame: expected a frame of tf, got {body}; there are {there}")
     child_T_body = found.frames.body_T(child, body)
     if child_T_body is None:
-        raise LogError(
-            path, f"--body-frame: expected tf from {child}, the frame of the odometry, to {body}, found none"
-        )
+        problem = f"expected tf from {child}, the frame of the odometry, to {body}, found none"
+        raise LogError(path, f"--body-frame: {problem}")
     return body, [(stamp, pose @ child_T_body) for stamp, pose in poses]
 
 

@@ -122,9 +122,7 @@ class SalvagedBag:
                 yield from self._ros1(path, _unpack(path, body, fields[b"compression"].decode()), 0)
             elif kind == _CONNECTION:
                 told = _fields(body)
-                msgtype = told[b"type"].decode()
-                if "/msg/" not in msgtype:
-                    msgtype = msgtype.replace("/", "/msg/")
+                msgtype = told[b"type"].decode().replace("/msg/", "/").replace("/", "/msg/")
                 (number,) = struct.unpack("<I", fields[b"conn"])
                 definition = told[b"message_definition"].decode(errors="replace")
                 self._connect(number, fields[b"topic"].decode(), msgtype, definition)
