@@ -194,8 +194,7 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
         write_pcd(folder / "clouds" / f"{index:06d}.pcd", scan.points)
     stamps = [scan.stamp_ns for scan in scans]
     (folder / "times.txt").write_bytes("".join(seconds_from_ns(stamp) + "\n" for stamp in stamps).encode("ascii"))
-    odometry = [event for event in log.events if isinstance(event, OdometryReading)]
-    driven = [one.stamp_ns for one in odometry], [one.odom_T_body for one in odometry]
+    driven = [one.stamp_ns for one in log.odometry], [one.odom_T_body for one in log.odometry]
     told = stamps, [one.world_T_body for one in scans if one.world_T_body is not None]
     for name, (times, poses) in (("odometry.tum", driven), ("poses.tum", told)):
         if poses:

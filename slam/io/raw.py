@@ -201,9 +201,11 @@ def text_rows(
     lines = text.splitlines()
     if columns is None:
         columns = next((len(line.split(separator)) for line in lines if line.strip()), 1)
-    rows = _quick_rows(lines, separator)
-    if rows.size and rows.shape[1] == columns and (not finite or np.isfinite(rows).all()):
-        return rows
+    with warnings.catch_warnings(), suppress(ValueError):
+        warnings.simplefilter("ignore")  # of no rows at all: the caller says so in its own words
+        rows = np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None, delimiter=separator)
+        if rows.size and rows.shape[1] == columns and (not finite or np.isfinite(rows).all()):
+            return rows
     slow = []  # line by line, to name the first bad one
     for number, line in enumerate(lines, start=first_line):
         if line.strip():
@@ -212,16 +214,6 @@ def text_rows(
                 _check_count(words, columns)
                 slow.append(floats_of(words, finite=finite, separator=separator))
     return np.array(slow, dtype=np.float64).reshape(-1, columns)
-
-
-def _quick_rows(lines: list[str], separator: str | None) -> FloatArray:
-    """Rows of numbers, shape (N, C), as numpy reads them; nothing, shape (0, 0), where it cannot."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of no rows at all: the caller says so in its own words
-            return np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None, delimiter=separator)
-    except ValueError:
-        return np.empty((0, 0))
 
 
 def ascii_of(path: Path, data: bytes, first_line: int = 1) -> str:

@@ -87,7 +87,7 @@ def with_odometry(log: Log, path: Path, body_T_sensor: FloatArray | None = None)
     Where the file tells the poses of a sensor, `body_T_sensor` (4, 4) is its mount. A file that does not reach all
     scans is refused: where odometry is missing it would seem to say that the robot stood.
     """
-    scans: list[Event] = [event for event in log.events if not isinstance(event, OdometryReading)]
+    scans = log.scans()
     readings = readings_of(path, scans, body_T_sensor)
     note = taken_from(path, len(readings), len(log.events) - len(scans))
     return replace(log, events=in_order([*readings, *scans]), notes=[*log.notes, note], odometry_source=path)

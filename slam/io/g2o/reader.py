@@ -93,7 +93,7 @@ class _Reader:
         if kind == "FIX":
             self.fixed.update((_id(word), line) for word in words[1:])
         elif kind in _VERTICES:
-            (number,), numbers = _split(words, 1, _VERTICES[kind])
+            (number,), numbers = _split(words, 1, 7)
             kept: dict[int, Any] = {"VERTEX_PLANE": self.planes, "PARAMS_SE3OFFSET": self.offsets}.get(kind, self.poses)
             taken = number in kept if kind == "PARAMS_SE3OFFSET" else number in self.poses or number in self.planes
             if taken:
@@ -238,8 +238,8 @@ _WORLD = gtsam.symbol("w", 0)
 #: How firmly a fixed pose is held, m and rad. GTSAM's solvers take no constraint by default: LM stops at once without a
 #: word, the others throw. This is far below what sensors measure, and still well conditioned.
 _HELD_SIGMA = 1e-6
-#: Numbers after the id.
-_VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX_PLANE": 7, "PARAMS_SE3OFFSET": 7}
+#: All have an id and seven numbers.
+_VERTICES = ("VERTEX_SE3:QUAT", "VERTEX_PLANE", "PARAMS_SE3OFFSET")
 #: Number of ids, and of numbers after them.
 _EDGES = {"EDGE_SE3:QUAT": (2, 28), "EDGE_SE3_PRIOR": (2, 28), "EDGE_SE3_PLANE_CALIB": (3, 13)}
 #: How many of the ids, from the first, are poses that the error depends on.
