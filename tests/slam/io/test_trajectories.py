@@ -18,10 +18,9 @@ def poses_at(places, turns):
     return poses
 
 
-def some_poses(n, seed=0):
-    rng = np.random.default_rng(seed)
-    turns = Rotation.random(n, rng=rng)
-    return poses_at(1e3 * rng.standard_normal((n, 3)), turns)
+def some_poses(n):
+    rng = np.random.default_rng(0)
+    return poses_at(1e3 * rng.standard_normal((n, 3)), Rotation.random(n, rng=rng))
 
 
 def test_tum_round_trip(tmp_path):
