@@ -280,4 +280,4 @@ def nanoseconds(word: str) -> int:
 
 def seconds_from_ns(stamp_ns: int) -> str:
     """Integer nanoseconds as seconds with nine decimals, exactly."""
-    return f"{Decimal(stamp_ns).scaleb(-9):.9f}"
+    return f"{Decimal(int(stamp_ns)).scaleb(-9):.9f}"

@@ -30,7 +30,7 @@ _SCAN_NAME = re.compile(r"scan(\d+)\.3d(\.gz)?$")
 
 def is_3dtk_folder(path: Path) -> bool:
     """Whether a folder holds 3DTK scans."""
-    return path.is_dir() and any(_SCAN_NAME.match(entry.name) for entry in path.iterdir())
+    return path.is_dir() and any(map(is_3dtk_scan, path.iterdir()))
 
 
 def is_3dtk_scan(path: Path) -> bool:

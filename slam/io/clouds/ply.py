@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -110,28 +111,21 @@ def write_ply_tables(path: Path | str, tables: Mapping[str, np.ndarray]) -> None
 
     A field of several numbers a row, such as the corners of a triangle, becomes a list property.
     """
-    header = ["ply", "format binary_little_endian 1.0"]
-    body = []
+    header, body = ["ply", "format binary_little_endian 1.0"], []
     for name, table in tables.items():
-        lines, row = _written_fields(table.dtype)
-        rows = np.empty(len(table), dtype=row)
+        header.append(f"element {name} {len(table)}")
+        columns: list[tuple[Any, ...]] = []
+        for field in table.dtype.names or ():
+            kind = table.dtype[field]
+            base = kind.base.str[1:]
+            if kind.shape:
+                columns.append((f"{field} size", "u1"))
+            columns.append((field, "<" + base, kind.shape))
+            header.append(f"property {'list uchar ' if kind.shape else ''}{_NAMES[base]} {field}")
+        rows = np.empty(len(table), dtype=columns)
         for field in table.dtype.names or ():
             rows[field] = table[field]
-            if f"{field} size" in (row.names or ()):
+            if table.dtype[field].shape:
                 rows[f"{field} size"] = table[field].shape[1]
-        header += [f"element {name} {len(table)}", *lines]
         body.append(rows.tobytes())
     Path(path).write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + b"".join(body))
-
-
-def _written_fields(kind: np.dtype) -> tuple[list[str], np.dtype]:
-    """Header lines of the fields of a table, and the type of a row as it is written, with the sizes of lists."""
-    lines, fields = [], []
-    for name in kind.names or ():
-        field = kind[name]
-        base = field.base.str[1:]
-        if field.shape:
-            fields.append((f"{name} size", "u1"))
-        lines.append(f"property list uchar {_NAMES[base]} {name}" if field.shape else f"property {_NAMES[base]} {name}")
-        fields.append((name, "<" + base, field.shape))
-    return lines, np.dtype(fields)
