@@ -214,10 +214,15 @@ def salvage_session(path: Path | str) -> str:
     """
     path = session_path(path)
     check_session_given(path)
-    damage = _damage_of(path)
-    if damage is None:
-        with Session.open(path, read_only=True) as session:
+    try:
+        with Session.open(path) as session:
+            for _ in session.entries():
+                pass
+            for index in range(len(session)):
+                session.scans(index)
             return f"nothing is damaged; {len(session)} keyframes"
+    except SessionDamaged as error:
+        damage = str(error)
     work, kept = path.with_name(path.name + ".salvaged"), path.with_name(path.name + ".damaged")
     with writing(path) as lock:
         try:
@@ -231,18 +236,6 @@ def salvage_session(path: Path | str) -> str:
             for suffix in (*_SUFFIXES, "-lock"):
                 work.with_name(work.name + suffix).unlink(missing_ok=True)
     return f"{damage}; saved {saved} keyframes; the damaged file is now {kept.name}"
-
-
-def _damage_of(path: Path) -> str | None:
-    try:
-        with Session.open(path) as session:
-            for _ in session.entries():
-                pass
-            for index in range(len(session)):
-                session.scans(index)
-    except SessionDamaged as error:
-        return str(error)
-    return None
 
 
 def _copy_beginning(path: Path, target: Path) -> int:

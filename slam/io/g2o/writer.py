@@ -123,7 +123,7 @@ class _Writer:
 
     def lines(self) -> list[str]:
         """The whole file, line by line."""
-        edges = [line for factor in self._factors for line in self._edge(factor)]
+        edges = [line for factor in self._factors if (line := self._edge(factor)) is not None]
         title = "# planes n.x = d: nx ny nz -d, then a colour; written by spplanes"
         left_out = [f"# left out: {count} of {kind}" for kind, count in sorted(self.left_out.items())]
         parameters = "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"  # the sensor of the priors: the body itself
@@ -138,22 +138,22 @@ class _Writer:
             lines.append(f"VERTEX_PLANE {i} {_numbers(self._in_world(key).planeCoefficients())} {_PLANE_RGB}")
         return lines
 
-    def _edge(self, factor: Any) -> list[str]:
+    def _edge(self, factor: Any) -> str | None:
         if isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
             self.left_out["robust kernels"] += 1
         if isinstance(factor, gtsam.BetweenFactorPose3):
-            return [self._between(factor)]
+            return self._between(factor)
         recipe = describe(factor)
         if isinstance(recipe, VelocityRecipe):
-            return [self._between(self._goes_on(recipe))]
+            return self._between(self._goes_on(recipe))
         sighting = _sighting_of(factor, recipe)
         if sighting is not None and sighting.plane_key in self.planes:
-            return [self._plane_edge(factor, sighting)]
+            return self._plane_edge(factor, sighting)
         keys = list(factor.keys())
         if len(keys) == 1 and keys[0] in self.poses:
-            return [self._prior(keys[0], factor)]
+            return self._prior(keys[0], factor)
         self.left_out[type(factor).__name__] += 1
-        return []
+        return None
 
     def _between(self, factor: gtsam.BetweenFactorPose3) -> str:
         a, b = (self.poses[key] for key in factor.keys())  # noqa: SIM118 - not a mapping

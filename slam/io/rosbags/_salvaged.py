@@ -39,12 +39,10 @@ class SalvagedBag:
         data = path.read_bytes()
         #: Whether it is a ROS 1 bag.
         self.is_ros1 = data.startswith(_ROS1_MAGIC)
-        if self.is_ros1:
-            self._take(self._ros1(path, data, len(_ROS1_MAGIC)))
-        elif data.startswith(_MCAP_MAGIC):
-            self._take(self._mcap(path, data, len(_MCAP_MAGIC)))
-        else:
+        if not data.startswith((_ROS1_MAGIC, _MCAP_MAGIC)):
             raise LogError(path, "expected a ROS 1 bag or an MCAP file to salvage, got another")
+        read, magic = (self._ros1, _ROS1_MAGIC) if self.is_ros1 else (self._mcap, _MCAP_MAGIC)
+        self._take(read(path, data, len(magic)))
         self._messages.sort(key=lambda one: one[1])
 
     def __enter__(self) -> SalvagedBag:
@@ -102,7 +100,7 @@ class SalvagedBag:
                     self._messages.append((self._connections[number], stamp, raw))
                 else:
                     self._strangers += 1
-        except (_Cut, struct.error):
+        except (_Cut, struct.error):  # the latter of numbers that are cut off
             self.is_whole = False
 
     def _ros1(self, path: Path, data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
@@ -133,8 +131,6 @@ class SalvagedBag:
     def _mcap(self, path: Path, data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
         """Record by record: a byte for its kind, its length, its content."""
         while place < len(data):
-            if place + 9 > len(data):
-                raise _Cut
             kind, size = struct.unpack_from("<BQ", data, place)
             compression = b""
             if kind == _MCAP_CHUNK:
@@ -164,8 +160,6 @@ class SalvagedBag:
 
 def _sized(data: bytes, place: int) -> tuple[bytes, int]:
     """Bytes with their length in front of them, and where they end."""
-    if place + 4 > len(data):
-        raise _Cut
     (size,) = struct.unpack_from("<I", data, place)
     end = place + 4 + size
     if end > len(data):

@@ -28,6 +28,7 @@ from slam.visualization.rerun_export import write_rerun
 from tests.fuzz.target import NEXT_FILE
 from tests.fuzz.targets import TARGETS
 from tests.slam.io.bags import write
+from tests.slam.io.test_clouds import npy
 from tests.slam.io.test_rosbag import mission
 
 NAMES = ("<script>", "../x", "/tmp/x", "a\nb\x1b[31m\0c", "n" * 10_000, "..", "C:\\x", "\u202e")
@@ -37,9 +38,7 @@ def _npz(*members: tuple[str, np.ndarray]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, values in members:
-            content = io.BytesIO()
-            np.save(content, values)
-            archive.writestr(zipfile.ZipInfo(name), content.getvalue())
+            archive.writestr(zipfile.ZipInfo(name), npy(values))
     return stream.getvalue()
 
 
