@@ -295,9 +295,8 @@ def _laser(scan: LaserScan, rig: Rig, world_T_body: FloatArray) -> str:
     head = f"{float(scan.angles[0])!r} {step * (len(scan.angles) - 1)!r} {step!r} {sensor.range_max_m!r}"
     body = " ".join(map(repr, ranges.tolist()))
     poses = f"{_pose(world_T_body @ sensor.body_T_sensor)} {_pose(world_T_body)}"
-    return (
-        f"{record} 0 {head} {sensor.range_sigma_m!r} 0 {len(ranges)} {body} 0 {poses} 0 0 0 0 0 {_tail(scan.stamp_ns)}"
-    )
+    tail = f"0 0 0 0 0 {_tail(scan.stamp_ns)}"
+    return f"{record} 0 {head} {sensor.range_sigma_m!r} 0 {len(ranges)} {body} 0 {poses} {tail}"
 
 
 def _pose(transform: FloatArray) -> str:

@@ -136,10 +136,9 @@ class SessionRecords:
     def scans(self, index: int) -> list[RawScan]:
         """The raw scans behind a keyframe: what they are, where they lie in the log, and they themselves if kept."""
         with translated(self.path):
-            rows = self._db.execute(
-                "SELECT number, sensor, stamp_ns, position, data, digest FROM scans WHERE keyframe = ? ORDER BY number",
-                (index,),
-            ).fetchall()
+            columns = "number, sensor, stamp_ns, position, data, digest"
+            query = f"SELECT {columns} FROM scans WHERE keyframe = ? ORDER BY number"
+            rows = self._db.execute(query, (index,)).fetchall()
         found = []
         for *row, checksum in rows:
             if digest(self._digest_of(index), *row) != checksum:

@@ -110,14 +110,10 @@ class Session(SessionRecords):
         read = keyframe_of(data)  # before it is written: it can be read
         checksum = digest(self._last, index, keyframe.stamp_ns, data)
         with self._writing():
-            self._db.execute(
-                "INSERT INTO keyframes VALUES (?, ?, ?, ?)", (index, int(keyframe.stamp_ns), data, checksum)
-            )
+            self._insert("keyframes", index, int(keyframe.stamp_ns), data, checksum)
             for number, (scan, kept) in enumerate(zip(keyframe.scans, scans, strict=False)):
                 row = (number, scan.sensor, int(scan.stamp_ns), *kept)
-                self._db.execute(
-                    "INSERT INTO scans VALUES (?, ?, ?, ?, ?, ?, ?)", (index, *row, digest(checksum, *row))
-                )
+                self._insert("scans", index, *row, digest(checksum, *row))
         self._size, self._last = index + 1, checksum
         if self._file.lock is not None:
             promise(self._file.lock, self._size)
@@ -148,8 +144,10 @@ class Session(SessionRecords):
 
     def _put_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         data = encode(list(decisions))
-        row = (index, data, digest(self._digest_of(index), data))
-        self._db.execute("INSERT INTO decisions VALUES (?, ?, ?)", row)
+        self._insert("decisions", index, data, digest(self._digest_of(index), data))
+
+    def _insert(self, table: str, *values: object) -> None:
+        self._db.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(values))})", values)
 
     @contextmanager
     def _on_the_way(self) -> Iterator[None]:
