@@ -70,32 +70,23 @@ def _bound_rosbags() -> None:
         storage_mcap.DECOMPRESSORS[kind] = lambda data, _, kind=kind: unpack(data, kind)
     whole: Any = rosbag2.zstd
 
-    def bounded(file: BinaryIO, mode: str) -> _BoundedFile:
-        size = os.fstat(file.fileno()).st_size
-        return _BoundedFile(whole.open(file, mode), max(raw.HARMLESS_BYTES, raw.MOST_GROWTH * size))
+    @contextmanager
+    def bounded(file: BinaryIO, mode: str) -> Iterator[SimpleNamespace]:
+        left = max(raw.HARMLESS_BYTES, raw.MOST_GROWTH * os.fstat(file.fileno()).st_size)
+
+        def read(size: int) -> bytes:
+            nonlocal left
+            data = unpacked.read(size)
+            left -= len(data)
+            if left < 0:
+                raise TooLarge("expected sensor data, got a packed file that grows out of all proportion")
+            return data
+
+        with whole.open(file, mode) as unpacked:
+            yield SimpleNamespace(read=read)
 
     # all it has of the module: for compressed messages, and for compressed files
     rosbag2.zstd = SimpleNamespace(decompress=lambda data: unpack(data, "zstd"), open=bounded)  # type: ignore[assignment]
-
-
-class _BoundedFile:
-    """A packed file that can be read so far."""
-
-    def __init__(self, file: Any, most: int) -> None:
-        self._file, self._most = file, most
-
-    def read(self, size: int = -1) -> bytes:
-        data = self._file.read(size if size >= 0 else self._most + 1)
-        self._most -= len(data)
-        if self._most < 0:
-            raise TooLarge("expected sensor data, got a packed file that grows out of all proportion")
-        return data
-
-    def __enter__(self) -> _BoundedFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
 
 
 def _file_of(path: Path) -> Path | None:
