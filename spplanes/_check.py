@@ -69,16 +69,10 @@ def as_shape(name: str, value: Any, shape: tuple[int | None, ...], *, finite: bo
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
         raise ValueError(f"{name}: expected shape {wanted}, got {array.shape}")
     if finite and array.size and not (array.max() < TOO_LARGE and array.min() > -TOO_LARGE):  # false for NaN, too
-        _refuse_numbers(name, array)
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
+        raise ValueError(f"{name}: expected numbers below {TOO_LARGE:g}, got {float(np.abs(array).max()):.3g}")
     return array
-
-
-def _refuse_numbers(name: str, array: FloatArray) -> None:
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got NaN or infinity")
-    largest = float(np.abs(array).max())
-    if largest >= TOO_LARGE:
-        raise ValueError(f"{name}: expected numbers below {TOO_LARGE:g}, got {largest:.3g}")
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

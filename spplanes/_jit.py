@@ -35,11 +35,10 @@ class Processor(NamedTuple):
     """What a processor must have for such code to run on it."""
 
 
-_V3 = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
-_X86 = Processor("x86-64-v3", "", frozenset(_V3.split()))  # Intel since 2013, AMD since 2015
-#: By machine; any other has its plain instructions, which all of its kind have.
-_PORTABLE = {"x86_64": _X86, "AMD64": _X86}
-PORTABLE = _PORTABLE.get(platform.machine(), Processor("generic", "", frozenset()))
+PORTABLE = Processor("generic", "", frozenset())  # plain instructions, which all machines of a kind have
+if platform.machine() in ("x86_64", "AMD64"):  # Intel since 2013, AMD since 2015
+    _needs = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 sse4.2 ssse3 xsave"
+    PORTABLE = Processor("x86-64-v3", "", frozenset(_needs.split()))
 
 #: Every kernel that was imported, in that order.
 KERNELS: list[Any] = []

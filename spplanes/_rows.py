@@ -20,10 +20,6 @@ NO_VIEWPOINT = np.full(3, np.nan)
 OK, TOO_FEW, COINCIDENT, COLLINEAR, OPEN_POSES = 0, 1, 2, 3, 4
 #: Points are collinear when their width is below this share of their length.
 COLLINEAR_RATIO = 1e-6
-#: Coordinates carry a rounding error of this share of their size; a smaller extent is none.
-ROUNDING = 1e-15
-#: Jacobi rotations converge in a few sweeps.
-_MAX_SWEEPS = 30
 
 
 @inner(cache=True)
@@ -53,20 +49,15 @@ def copy_into(target, source) -> None:
 
 @njit(cache=True)
 def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, values, vectors) -> None:
-    """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix given by its upper triangle.
+    """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix, into (3,) and the columns of (3, 3).
 
     Cyclic Jacobi rotations, written out for the three pairs. A small eigenvalue of a positive semidefinite matrix is
     found to rounding of the matrix' entries, and eigenvectors stay orthogonal to rounding, also when eigenvalues tie.
-
-    Args:
-        xx, xy, xz, yy, yz, zz: the entries.
-        values: receives the eigenvalues, shape (3,).
-        vectors: receives the eigenvectors in its columns, shape (3, 3).
     """
     v = np.zeros((3, 3))
     for k in range(3):
         v[k, k] = 1.0
-    for _ in range(_MAX_SWEEPS):
+    for _ in range(30):  # a few do as a rule
         done = True
         if not _is_negligible(xy, xx, yy):
             done = False
@@ -113,10 +104,8 @@ def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
 
 @inner(cache=True)
 def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Solution of a positive definite 3x3 system by the factors L D L^T; of `matrix` the upper triangle, six entries.
-
-    NaN or infinity where the matrix is singular to the last digit.
-    """
+    """Solution of a positive definite 3x3 system, `matrix` its upper triangle, by L D L^T; NaN or infinity if
+    singular."""
     xx, xy, xz, yy, yz, zz = matrix
     a, b = xy / xx, xz / xx
     d = yy - a * xy
@@ -256,7 +245,7 @@ def write_frame(n, x, c, frame) -> None:
 @inlined
 def extent_status(row, middle: float, largest: float) -> int:
     """OK, COINCIDENT or COLLINEAR, judged by the two larger eigenvalues of the scatter and by rounding."""
-    size = ROUNDING * max(abs(row[2]), abs(row[3]), abs(row[4]))
+    size = 1e-15 * max(abs(row[2]), abs(row[3]), abs(row[4]))  # by which coordinates are rounded
     nothing = row[1] * size * size
     if not largest > nothing or largest < 1e-300:
         return COINCIDENT
@@ -267,10 +256,8 @@ def extent_status(row, middle: float, largest: float) -> int:
 
 @njit(cache=True)
 def row_frame(row, viewpoint, frame, values) -> int:
-    """Plane frame of a moment row (PCA): writes ``frame`` (4, 4) and the eigenvalues, ascending; returns the outcome.
-
-    The normal points to ``viewpoint``, shape (3,); where that is NaN, d >= 0.
-    """
+    """Plane frame (4, 4) of a moment row, normal as of `faces_viewpoint`, and its eigenvalues, ascending; the
+    outcome."""
     vectors = np.empty((3, 3))
     jacobi3(row[5], row[6], row[7], row[8], row[9], row[10], values, vectors)
     values[0] = max(values[0], 0.0)

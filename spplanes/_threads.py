@@ -15,8 +15,6 @@ from numba import config
 
 #: Fewest points for which a second thread is worth waking, of each thread.
 LEAST = 1 << 15
-#: Parts for each thread, so that none waits long for another with more to do.
-SHARES = 4
 
 _lock, _pool, _alone = threading.Lock(), None, False
 
@@ -54,7 +52,7 @@ def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singl
     if threads < 2:
         work(0, count)
         return
-    parts = count if singly else min(SHARES * threads, count)
+    parts = count if singly else min(4 * threads, count)  # so that no thread waits long for another
     bounds = [count * k // parts for k in range(parts + 1)]
     left = iter(list(pairwise(bounds)))  # one for all: each thread takes the next part
 

@@ -79,15 +79,11 @@ def local_scatter(points, cells):
 
 @njit(cache=True)
 def planar_leaves(points, keys, variances, octave, fewest, limits):
-    """Leaves (first point, level, planar) along the curve, shape (C, 3), and their moments, (C, 11).
+    """Leaves (first point, level, planar) along the curve, shape (C, 3), and their moments, (C, 11); see `Cells.of`.
 
-    Args:
-        points, keys: along a Morton curve, shape (N, 3) and (N,).
-        variances: shape (N,), m^2.
-        octave: variance of the shared error of an octave, m^2.
-        fewest: points of a cell that is judged.
-        limits: normal quantile and slack of the residuals of a cell, largest chi2 of an octant's offset, least
-            information on a tilt, 1 / rad^2.
+    `limits` are normal quantile and slack of the residuals of a cell, largest chi2 of an octant's offset, least
+    information on a tilt, 1 / rad^2; `octave` is the variance of the shared error of an octave, m^2, `fewest` points
+    are judged.
     """
     cells, rows, count = np.empty((points.shape[0], 3), np.int64), np.empty((points.shape[0], ROW_SIZE)), 0
     stack, top = np.empty((8 * LEVELS + 8, 3), np.int64), min(points.shape[0], 1)
@@ -98,9 +94,8 @@ def planar_leaves(points, keys, variances, octave, fewest, limits):
         first, last, level = stack[top, 0], stack[top, 1], stack[top, 2]
         run_moments(grid, noise, first, last, True, rows[count])
         shift = 3 * (LEVELS - level - 1)
-        planar = last - first >= fewest and is_planar(
-            points, keys, weights, octave, (first, last, shift), rows[count], limits
-        )
+        run = first, last, shift
+        planar = last - first >= fewest and is_planar(points, keys, weights, octave, run, rows[count], limits)
         if planar or last - first < fewest or level == LEVELS:
             cells[count, 0], cells[count, 1], cells[count, 2] = first, level, planar
             count += 1

@@ -15,25 +15,11 @@ import numpy as np
 from spplanes._check import FloatArray
 from spplanes.clouds.scatter import misses_of
 
-#: A new line starts where the beam turns by at least this much from one point to the next, rad ...
-_JUMP_RAD = 0.35
-#: ... and by at least as many of the usual steps.
-_JUMP_STEPS = 10.0
-#: Lines are believed when there are this many at least, of this many points (median), and no line is much longer.
-_MIN_LINES, _MIN_BEAMS, _LONGEST = 8, 8, 1.6
 #: Rows and columns, in a whole turn, of the range images that are tried.
 _ROWS = (16, 32, 40, 48, 64, 80, 96, 128, 192, 256, 384, 512)
 _COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
 #: Of shapes that spread the points this well beside the best, the one with the squarest cells is taken.
 _AS_GOOD = 0.95
-#: Corners are looked for between beams that are this share of a turn apart.
-_CORNER_SHARE = 1.0 / 360.0
-#: A cloud has z ahead when all its points lie within 78 deg of z, their mean direction within 45 deg (cosines).
-_WITHIN, _AMID = 0.2, 0.7
-#: Returns of a grid are linked when so many of them have one beside them.
-_LEAST_LINKED = 0.75
-#: The longest row of a grid made of lines.
-_LARGEST = 4096
 
 
 @dataclass(frozen=True)
@@ -68,18 +54,16 @@ def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
 
 
 def are_linked(seen: np.ndarray) -> bool:
-    """Whether returns of a grid, mask (S, B), mostly lie beside others, along rows and along columns."""
+    """Whether three in four returns of a grid, mask (S, B), lie beside others, along rows and along columns."""
     ahead = seen[:, :-1], seen[:-1]
     linked = seen[:, :-1] & seen[:, 1:], seen[:-1] & seen[1:]
-    return all(both.sum() >= _LEAST_LINKED * one.sum() for both, one in zip(linked, ahead, strict=True))
+    return all(both.sum() >= 0.75 * one.sum() for both, one in zip(linked, ahead, strict=True))
 
 
 def shows_lines(points: FloatArray) -> bool:
     """Whether points (N, 3) come in the lines of a 2D laser that was turned, by their order; a grid (S, B, 3) does not
     say."""
-    if points.ndim != 2:
-        return False
-    return _lines_of(returns_of(points)) is not None
+    return points.ndim == 2 and _lines_of(returns_of(points)) is not None
 
 
 def returns_of(points: FloatArray) -> FloatArray:
@@ -110,7 +94,7 @@ def _closes(grid: FloatArray) -> bool:
     with np.errstate(invalid="ignore", divide="ignore"):
         rays = grid / np.linalg.norm(grid, axis=-1, keepdims=True)
         steps = np.linalg.norm(np.diff(rays, axis=1, append=rays[:, :1]), axis=-1)
-    if grid.shape[1] < _MIN_BEAMS or not np.isfinite(steps[:, -1]).any() or not np.isfinite(steps[:, :-1]).any():
+    if grid.shape[1] < 8 or not np.isfinite(steps[:, -1]).any() or not np.isfinite(steps[:, :-1]).any():
         return False
     return bool(np.nanmedian(steps[:, -1]) < 3.0 * np.nanmedian(steps[:, :-1]))
 
@@ -118,7 +102,7 @@ def _closes(grid: FloatArray) -> bool:
 def _cut_at_a_corner(image: FloatArray) -> FloatArray:
     """The image turned so that its ends meet where fewest surfaces go on."""
     columns = image.shape[1]
-    lag = max(round(columns * _CORNER_SHARE), 1)
+    lag = max(round(columns * (1.0 / 360.0)), 1)  # corners are looked for between beams a degree apart
     missed = np.abs(misses_of(image, lag, closed=True))
     seen = missed[np.isfinite(missed)]
     if not len(seen):
@@ -192,12 +176,13 @@ def _off_pole(points: FloatArray) -> FloatArray:
     """Rotation (3, 3), to multiply points (N, 3) with on the right, that keeps the poles of the image out of sight.
 
     Clouds of cameras have z ahead: there the columns of a range image run together, and most points would share a cell.
-    Where z, up or down, lies amid directions that all fill less than a hemisphere, it becomes x; else nothing turns.
+    Where z, up or down, lies amid directions that all fill less than a hemisphere (within 78 deg of it, their mean
+    within 45 deg), it becomes x; else nothing turns.
     """
     rays = points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-12)
     along = rays.mean(axis=0)[2] if len(rays) else 0.0
     ahead = rays[:, 2] * np.sign(along)
-    if along == 0.0 or not len(rays) or ahead.min() < _WITHIN or abs(along) < _AMID:
+    if along == 0.0 or not len(rays) or ahead.min() < 0.2 or abs(along) < 0.7:
         return np.eye(3)
     sign = float(np.sign(along))
     return np.array([[0.0, -sign, 0.0], [0.0, 0.0, -1.0], [sign, 0.0, 0.0]])
@@ -217,16 +202,20 @@ def _turns_of(points: FloatArray) -> FloatArray:
 
 
 def _lines_of(points: FloatArray) -> FloatArray | None:
-    """The lines that the order of the points shows, shape (S, B, 3); None where it shows none."""
-    if len(points) < _MIN_LINES * _MIN_BEAMS:
+    """The lines that the order of the points shows, shape (S, B, 3); None where it shows none.
+
+    A line starts where the beam turns by 20 deg and by ten of the usual steps. Lines are believed when there are eight
+    at least, of eight points (median), and none is much longer.
+    """
+    if len(points) < 64:
         return None
     cosines = _turns_of(points)
-    limit = max(_JUMP_RAD, _JUMP_STEPS * float(np.arccos(np.median(cosines))))
+    limit = max(0.35, 10.0 * float(np.arccos(np.median(cosines))))
     if limit >= np.pi:
         return None
     starts = np.concatenate(([0], np.flatnonzero(cosines < np.cos(limit)) + 1, [len(points)]))
     lengths = np.diff(starts)
-    if len(lengths) < _MIN_LINES or np.median(lengths) < _MIN_BEAMS or lengths.max() > _LONGEST * np.median(lengths):
+    if len(lengths) < 8 or np.median(lengths) < 8 or lengths.max() > 1.6 * np.median(lengths):
         return None
     lines = [points[a:b] for a, b in pairwise(starts)]
     lines = [line for k, line in enumerate(lines) if k == 0 or not np.array_equal(line, lines[k - 1])]
@@ -245,7 +234,7 @@ def _stacked(lines: list[FloatArray]) -> FloatArray | None:
     first = min((angle[0] for angle in along), key=lambda value: value * np.sign(step))
     columns = [np.rint((angle - first) / step).astype(np.int64) for angle in along]
     width = max(int(column.max()) for column in columns) + 1
-    if min(int(column.min()) for column in columns) < 0 or width > _LARGEST:
+    if min(int(column.min()) for column in columns) < 0 or width > 4096:
         return None
     grid = np.full((len(lines), width, 3), np.nan)
     for row, (column, line) in enumerate(zip(columns, lines, strict=True)):

@@ -24,29 +24,11 @@ from spplanes.clouds._octree_kernels import LEVELS, LOCAL, largest_cells, local_
 from spplanes.fitting.shared_error import weighted_median
 from spplanes.outlines._raster import distinct_pairs
 
-#: Fewest points of a cell that is judged.
-FEWEST = 6
-#: Cells whose smallest extent is less than this share of the middle one look planar.
-_FLAT = 0.1
-#: Share of the points that must lie in such cells, or cells are taken larger.
-_ENOUGH = 0.3
-#: One in so many cells, of any size, lies in no corner.
-_FEW_CORNERS = 10
-#: Variance of half a normal distribution, cut in the middle, as a share of the whole one's.
-_CUT = 1.0 - 2.0 / np.pi
-#: Fewest larger cells that look flat by more than chance, in a shell of ranges.
-_LEAST_CELLS = 2
 #: Noise is found in so many bins of range at most, each of so many cells at least.
 _BINS, _CELLS_OF_BIN = 12, 20
-#: Of a planar cell, share that the tests of its residuals and of its octants may refuse.
-_SIGNIFICANCE, _OCTANT_SIGNIFICANCE = 1e-3, 1e-4
-#: The mean squared residual of a planar cell may exceed the noise by this factor.
-_SLACK = 1.15
 #: Numbers of 10 bits with two zeros before every bit, and of 15 bits every third.
 _SPREAD = np.bitwise_or.reduce([(np.arange(1 << 10) >> bit & 1) << 3 * bit for bit in range(10)])
 _GATHERED = np.bitwise_or.reduce([(np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5)])
-#: Offsets of a cell's 26 neighbours.
-_AROUND = np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
 
 
 class NoiseLaw(NamedTuple):
@@ -112,9 +94,12 @@ class Curve:
     def _flat_cells(self, ranges: FloatArray) -> FloatArray:
         """Cells that look flat (see `local_scatter`), in every shell of ranges the smallest of which there are enough.
 
-        Noise grows with the range: cells that show that of near points are balls of far ones. Shells that have too few
-        are put together until they may have enough of the next size. In a ball of half the size it has at least a
-        quarter of its variance, and a share of that where a side of the cell cuts it, or it was no ball but a corner.
+        Flat are cells whose smallest extent is less than a tenth of the middle one, enough are three in ten points, and
+        of larger cells two, or it may be chance. Noise grows with the range: cells that show that of near points are
+        balls of far ones. Shells that have too few are put together until they may have enough of the next size. In a
+        ball of half the size it has at least a quarter of its variance, and of that, where a side of the cell cuts it,
+        the share of a normal distribution that is cut in the middle, or it was no ball but a corner, in which one of
+        ten cells is not.
         """
         n_shells = max(min(len(ranges) // (_CELLS_OF_BIN * LOCAL), _BINS), 1)
         shell = np.searchsorted(np.quantile(ranges, np.arange(1, n_shells) / n_shells), ranges)
@@ -128,18 +113,19 @@ class Curve:
             place = shell[judged[:, 3].astype(np.int64)]
             for group in _together(missing, sizes, _CELLS_OF_BIN * fewest):
                 mine, size = judged[np.isin(place, group)], sizes[group]
-                flat = mine[mine[:, 1] < _FLAT * mine[:, 2]]
-                if len(flat) < _LEAST_CELLS and fewest > LOCAL:
+                flat = mine[mine[:, 1] < 0.1 * mine[:, 2]]
+                if len(flat) < 2 and fewest > LOCAL:
                     continue
                 points = flat[:, 0].sum()
                 if points > held[group].sum() and _median_variance(flat) <= most[group].max():
                     held[group] = points * size / size.sum()
-                    missing[group] = points <= _ENOUGH * size.sum()
+                    missing[group] = points <= 0.3 * size.sum()
                     for s in group:
                         found[s] = flat[:0]
                     found[group[0]] = flat
-                flattest = mine[np.argsort(mine[:, 1], kind="stable")][: len(mine) // _FEW_CORNERS + 1]
-                most[group] = 4.0 / _CUT * _median_variance(flattest) if len(mine) else most[group]
+                flattest = mine[np.argsort(mine[:, 1], kind="stable")][: len(mine) // 10 + 1]
+                if len(mine):
+                    most[group] = 4.0 / (1.0 - 2.0 / np.pi) * _median_variance(flattest)
             fewest *= 4
         return np.concatenate(found)
 
@@ -182,11 +168,11 @@ class Cells:
     ) -> Cells:
         """Leaves of points (N, 3) along a curve with variances (N,), m^2: the largest cells that are planar.
 
-        A cell is planar when its residuals are those of the noise, when no octant of it lies off its plane, and when
-        its points determine the plane's tilt to ``max_tilt_rad``.
+        A cell, of six points at least, is planar when its residuals are those of the noise, or 15 % more, when no
+        octant of it lies off its plane, and when its points determine the plane's tilt to ``max_tilt_rad``.
         """
-        limits = np.array([-ndtri(_SIGNIFICANCE), _SLACK, chdtri(1, _OCTANT_SIGNIFICANCE), max_tilt_rad**-2.0])
-        found, rows = planar_leaves(points, keys, variances, octave, FEWEST, limits)
+        limits = np.array([-ndtri(1e-3), 1.15, chdtri(1, 1e-4), max_tilt_rad**-2.0])
+        found, rows = planar_leaves(points, keys, variances, octave, 6, limits)
         bounds = np.append(found[:, 0], len(points))
         shift = 3 * (LEVELS - found[:, 1])
         return cls(bounds, found[:, 1], keys[found[:, 0]] >> shift << shift, found[:, 2] > 0, rows)
@@ -201,7 +187,7 @@ class Cells:
         """Pairs of cells that touch, at a face, an edge or a corner, each once, shape (E, 2)."""
         shift = LEVELS - self.level
         corner = _separated(self.place) >> shift[:, None]
-        beside = corner[:, None, :] + _AROUND
+        beside = corner[:, None, :] + np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
         inside = ((beside >= 0) & (beside < (1 << self.level)[:, None, None])).all(axis=2)
         cell, which = np.nonzero(inside)
         keys = _interleaved(beside[cell, which]) << 3 * shift[cell]

@@ -7,27 +7,15 @@ from scipy.special import chdtri
 
 from spplanes._check import FloatArray
 
-#: Neighbours lie within this share of each other's range: one surface, not an edge.
-_SAME_SURFACE = 0.05
-#: The wider of two steps between beams is less than so many times the narrower, as chords.
-_EVEN = 2.5
-#: Beams that meet a plane at less than this sine tell nothing of their noise.
-_GRAZING = 0.1
-#: Points nearer to their planes than this are taken for that near, m: logarithms of zero tell nothing.
-_ON_PLANE_M = 1e-6
-#: Variance of the logarithm of a chi2 of one dof.
-_LOG_VARIANCE = 0.5 * np.pi**2
-#: Chance that noise that is alike everywhere is taken for noise along beams.
-_SIGNIFICANCE = 1e-6
-
 
 def misses_of(grid: FloatArray, lag: int = 1, *, closed: bool = False) -> FloatArray:
     """How far the middle of three beams in a row lies from the plane through the outer two, shape (S, B - 2 lag), m.
 
     On a plane, inverse ranges of three beams a, b and c in a row are linear in the sines of the angles between them,
     sin(ac) / r_b = sin(bc) / r_a + sin(ab) / r_c, whatever the plane. What b misses that by is the noise of three
-    beams; it is scaled to that of one. NaN where the three are not all there, not evenly spaced, or not at similar
-    ranges. In closed rows the first beam follows the last; then there is a value for every beam, shape (S, B).
+    beams; it is scaled to that of one. NaN where the three are not all there, not evenly spaced (by chords, to 2.5
+    times), or not at similar ranges (to 5 %: one surface, not an edge). In closed rows the first beam follows the last;
+    then there is a value for every beam, shape (S, B).
     """
     inside = slice(None) if closed else slice(lag, max(grid.shape[1] - lag, lag))
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -41,8 +29,8 @@ def misses_of(grid: FloatArray, lag: int = 1, *, closed: bool = False) -> FloatA
         expected = whole / (sin_bc / a + sin_ab / c)
         slope_a, slope_c = expected**2 * sin_bc / (whole * a**2), expected**2 * sin_ab / (whole * c**2)
         missed = (b - expected) / np.sqrt(1.0 + slope_a**2 + slope_c**2)
-        near = np.maximum(np.abs(a - b), np.abs(c - b)) < _SAME_SURFACE * b
-        even = np.maximum(ab, bc) < _EVEN**2 * np.minimum(ab, bc)
+        near = np.maximum(np.abs(a - b), np.abs(c - b)) < 0.05 * b
+        even = np.maximum(ab, bc) < 2.5**2 * np.minimum(ab, bc)
     return np.where(near & even & (ab > 0.0) & (bc > 0.0) & (ab < 4.0) & (bc < 4.0), missed, np.nan)
 
 
@@ -63,12 +51,14 @@ def scatter_along_beams(points: FloatArray, eyes: FloatArray, labels: np.ndarray
     normals, d, beams = planes[labels[on], :3], planes[labels[on], 3], points[on] - eyes[on]
     ranges = np.linalg.norm(beams, axis=1)
     sines = np.abs((normals * beams).sum(axis=1)) / ranges
-    squares = 2.0 * np.log(np.maximum(np.abs((normals * points[on]).sum(axis=1) - d), _ON_PLANE_M))
+    off = np.abs((normals * points[on]).sum(axis=1) - d)
+    squares = 2.0 * np.log(np.maximum(off, 1e-6))  # logarithms of zero tell nothing
     by_range = np.vander(np.log(ranges), 3)
-    beyond = squares - 2.0 * np.log(np.maximum(sines, _GRAZING))
+    beyond = squares - 2.0 * np.log(np.maximum(sines, 0.1))  # beams that graze a plane tell nothing of their noise
     beyond = beyond - by_range @ np.linalg.lstsq(by_range, beyond, rcond=None)[0]
     gain = ((squares - squares.mean()) ** 2).sum() - (beyond**2).sum()
-    return bool(gain > _LOG_VARIANCE * chdtri(by_range.shape[1], _SIGNIFICANCE))
+    log_variance = 0.5 * np.pi**2  # of a chi2 of one dof
+    return bool(gain > log_variance * chdtri(by_range.shape[1], 1e-6))
 
 
 def _squares(vectors: FloatArray) -> FloatArray:

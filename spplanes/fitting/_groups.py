@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,8 +22,6 @@ from spplanes.plane import Plane
 
 Method = Literal["ml", "sp"]
 Robust = Literal["tukey"]
-METHODS: tuple[Method, ...] = ("ml", "sp")
-ROBUST: tuple[Robust | None, ...] = (None, "tukey")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +55,12 @@ class FitJob:
         poses: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> FitJob:
         """Check what the caller gave; `poses`: scan of every point, covariances of the scans' poses, their origins."""
-        if method not in METHODS:
-            raise ValueError(f"method: expected one of {METHODS}, got {method!r}")
-        if robust not in ROBUST:
-            raise ValueError(f"robust: expected one of {ROBUST}, got {robust!r}")
+        if method not in get_args(Method):
+            raise ValueError(f"method: expected one of {get_args(Method)}, got {method!r}")
+        if robust not in (None, *get_args(Robust)):
+            raise ValueError(f"robust: expected one of {(None, *get_args(Robust))}, got {robust!r}")
         if robust and method == "sp":
-            raise ValueError("robust: expected None with method 'sp', got " + repr(robust))
+            raise ValueError(f"robust: expected None with method 'sp', got {robust!r}")
         array = as_points("points", points)
         noise, step = _covariances(covariances, sigma, len(array))
         eye = NO_VIEWPOINT if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
@@ -120,11 +119,6 @@ class Fits:
     chi2: FloatArray
     """Sum of squared normalised residuals, shape (P,)."""
 
-    @classmethod
-    def empty(cls, n: int) -> Fits:
-        """Room for ``n`` fits."""
-        return cls(np.empty(n, np.int64), np.empty((n, 4, 4)), np.empty((n, 3, 3)), np.empty(n, np.int64), np.empty(n))
-
     def planes(self) -> list[Plane]:
         """One plane a group."""
         rows = zip(self.frames, self.covariances, self.counts.tolist(), self.chi2.tolist(), strict=True)
@@ -133,52 +127,41 @@ class Fits:
 
 def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray, viewpoints: FloatArray | None = None) -> Fits:
     """Fit every group ``order[bounds[g]:bounds[g + 1]]``, seen from the job's viewpoint or from its own one, (P, 3)."""
-    fits = Fits.empty(len(bounds) - 1)
+    n = len(bounds) - 1
+    arrays = np.empty(n, np.int64), np.empty((n, 4, 4)), np.empty((n, 3, 3)), np.empty(n, np.int64), np.empty(n)
+    fits = Fits(*arrays)
     if job.shared is None:
-        eyes = job.viewpoint[None] if viewpoints is None else viewpoints
-        arrays = (fits.status, fits.frames, fits.covariances, fits.counts, fits.chi2)
+        eyes, how = job.viewpoint[None] if viewpoints is None else viewpoints, (job.method == "sp", bool(job.robust))
         inputs = (job.points, job.covariances, job.step, order, bounds, eyes)
         largest_first = np.argsort(-np.diff(bounds), kind="stable")
-        in_parts(
-            lambda first, last: _run(largest_first[first:last], _code(job), inputs, FRACTIONS, arrays),
-            len(fits.status),
-            len(order),
-            singly=True,
-        )
+        fit = partial(_run, how, inputs, FRACTIONS, arrays)
+        in_parts(lambda first, last: fit(largest_first[first:last]), n, len(order), singly=True)
         return fits
-    for g in range(len(bounds) - 1):
-        whole = len(bounds) == 2 and len(order) == len(job.points)
+    for g in range(n):
+        whole = n == 1 and len(order) == len(job.points)
         _fit_with_poses(job if whole else job.select(order[bounds[g] : bounds[g + 1]]), fits, g)
     return fits
 
 
-_ML, _SP, _TUKEY = 0, 1, 2
-
-
-def _code(job: FitJob) -> int:
-    if job.robust:
-        return _TUKEY
-    return _SP if job.method == "sp" else _ML
-
-
 @njit(cache=True)
-def _run(groups, code, inputs, fractions, fits):
-    """Fit group after group."""
+def _run(how, inputs, fractions, fits, groups):
+    """Fit group after group, ``how``: as the paper, or robustly, or neither."""
     (points, covs, step, order, bounds, eyes), (status, frames, covariances, counts, chi2) = inputs, fits
+    by_paper, robust = how
     sums = np.zeros(N_SUMS)
     for g in groups:
         lo, hi, frame, covariance = bounds[g], bounds[g + 1], frames[g], covariances[g]
         viewpoint, group = eyes[g if eyes.shape[0] > 1 else 0], (points, covs, step, order, lo, hi)
         counts[g] = hi - lo
-        if code == _SP:
+        if by_paper:
             status[g], chi2[g] = kernels.sp_group(group, viewpoint, frame, covariance)
             continue
-        if code == _ML:
-            status[g] = kernels.ml_group(group, viewpoint, frame, covariance, sums)
-        else:
+        if robust:
             status[g] = robust_group(group, viewpoint, fractions, frame, covariance, sums)
             if status[g] == OK:
                 counts[g] = int(sums[USED])
+        else:
+            status[g] = kernels.ml_group(group, viewpoint, frame, covariance, sums)
         chi2[g] = sums[CHI2]
 
 
@@ -186,20 +169,18 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
     """Fit one group whose scans have pose errors, from a start that does not know of them."""
     if job.robust:
         job = job.select(_inliers(job))
-    plain = fit_groups(
-        replace(job, shared=None, robust=None), np.arange(len(job.points)), np.array([0, len(job.points)])
-    )
-    fits.status[g], fits.counts[g] = plain.status[0], len(job.points)
+    n = len(job.points)
+    plain = fit_groups(replace(job, shared=None, robust=None), np.arange(n), np.array([0, n]))
+    fits.status[g], fits.counts[g] = plain.status[0], n
     if plain.status[0] != OK or job.shared is None:
         return
     if job.method == "sp":
-        spread = _sp_spread(job)
-        term = sp_pose_term(job.points, job.covariances, job.shared, plain.frames[0], spread)
+        term = sp_pose_term(job.points, job.covariances, job.shared, plain.frames[0], _sp_spread(job))
         fits.frames[g], fits.covariances[g], fits.chi2[g] = plain.frames[0], plain.covariances[0] + term, plain.chi2[0]
         return
-    fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fit_shared_pose(
-        job.points, job.covariances, job.step, job.viewpoint, job.shared, plain.frames[0]
-    )
+    cloud = job.points, job.covariances, job.step
+    fitted = fit_shared_pose(cloud, job.viewpoint, job.shared, plain.frames[0])
+    fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fitted
 
 
 def _sp_spread(job: FitJob) -> FloatArray:

@@ -122,9 +122,7 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
 @inlined
 def noise_share(sums) -> float:
     """Share of the in-plane noise to take out of the information: less than 1 where it would eat the whole extent.
-
-    About their own centre, n points look wider by the noise of n - 1.
-    """
+    About their own centre, n points look wider by the noise of n - 1."""
     sxx = sums[7] - sums[5] * sums[5] / sums[4]
     sxy = sums[8] - sums[5] * sums[6] / sums[4]
     syy = sums[9] - sums[6] * sums[6] / sums[4]

@@ -49,9 +49,8 @@ def normal_of(row, smallest):
 
 @njit(cache=True)
 def variance_along(covariance, i, j, nx, ny, nz):
-    """n^T C n of point (i, j) of a grid of covariances, shape (S, B, 1), isotropic variances, or (S, B, 9).
-
-    By index, because a view of every single point would take longer than the arithmetic.
+    """n^T C n of point (i, j) of a grid of covariances, (S, B, 1), isotropic variances, or (S, B, 9): by index, because
+    a view of every single point would take longer than the arithmetic.
 
     It is not taken below a thousandth of the trace: a beam that grazes a plane does not measure it exactly, even if the
     model leaves out the error of its direction.

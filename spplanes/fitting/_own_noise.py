@@ -17,55 +17,37 @@ from spplanes._check import FloatArray
 from spplanes._jit import njit
 from spplanes._rows import row_frame
 from spplanes.fitting._kernels import MAX_NOISE_SHARE
-from spplanes.fitting._moment_patches import variance_along
-
-#: The share of V that is taken out depends on the normal, and the normal on it; it is found in steps.
-_STEPS = 4
+from spplanes.fitting._moment_patches import variance_from
 
 
 @njit(cache=True)
-def add_noise(points_covariance, labels, planes, total):
-    """Add w C of every labelled point to the sum of its region, in place; w = 1 / (n^T C n).
-
-    Args:
-        points_covariance: shape (S, B, 9), m^2.
-        labels: shape (S, B), region of every point, -1 = none.
-        planes: (normal, d) of the regions, shape (R, 4).
-        total: V of every region as (xx, xy, xz, yy, yz, zz), shape (R, 6).
-    """
+def add_noise(covariance, labels, planes, total):
+    """Add w C, w = 1 / (n^T C n), of every labelled point of a grid to V (R, 6), (xx, xy, xz, yy, yz, zz), of its
+    region."""
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             r = labels[i, j]
             if r >= 0:
-                w = 1.0 / variance_along(points_covariance, i, j, planes[r, 0], planes[r, 1], planes[r, 2])
-                total[r, 0] += w * points_covariance[i, j, 0]
-                total[r, 1] += w * points_covariance[i, j, 1]
-                total[r, 2] += w * points_covariance[i, j, 2]
-                total[r, 3] += w * points_covariance[i, j, 4]
-                total[r, 4] += w * points_covariance[i, j, 5]
-                total[r, 5] += w * points_covariance[i, j, 8]
+                w = 1.0 / variance_from(covariance, i, j, planes, r)
+                for k, of_nine in enumerate((0, 1, 2, 4, 5, 8)):
+                    total[r, k] += w * covariance[i, j, of_nine]
 
 
 def unbiased_frame(row: FloatArray, noise: FloatArray, eye: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Plane of moments and of the noise in them.
+    """Plane of moments (11,) and of the noise V (6,) in them, its normal to ``eye``, (3,), or d >= 0 where that is NaN.
 
     At most so much of V is taken out as the points scatter along the normal: noise that was stated too large does not
     turn the normal the other way.
 
-    Args:
-        row: moments, shape (11,).
-        noise: V, shape (6,).
-        eye: the normal points there, shape (3,), or NaN for d >= 0.
-
     Returns:
-        frame: world_T_plane, shape (4, 4).
-        spread: W and the sums of w x^2 and w y^2 of the points without their noise, shape (3,).
-        covariance: of (z, theta, psi), without shared errors, shape (3, 3).
+        world_T_plane; W and the sums of w x^2 and w y^2 of the points without their noise, shape (3,); the covariance
+        of
+        (z, theta, psi), without shared errors.
     """
     frame, values, clean = np.empty((4, 4)), np.empty(3), row.copy()
     row_frame(row, eye, frame, values)
     share = 0.0
-    for _ in range(_STEPS):
+    for _ in range(4):  # the share that is taken out depends on the normal, and the normal on it
         share = _share(row, noise, frame)
         clean[5:] = row[5:] - share * noise
         row_frame(clean, eye, frame, values)

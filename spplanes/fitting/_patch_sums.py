@@ -12,15 +12,10 @@ N, WEIGHT, RESIDUAL, SQUARE, X, Y = range(6)
 
 @njit(cache=True)
 def add_to_patches(points, variances, groups, frames, half, sums):
-    """Add every point's residual to the sums of its patch, in place.
+    """Add every point's residual to the sums (P, SIDE, SIDE, 6) of its patch, in place.
 
-    Args:
-        points: shape (N, 3), m.
-        variances: of the points, shape (N, 1) or (1, 1) isotropic, (N, 9) or (1, 9) full, m^2.
-        groups: plane of every point, shape (N,), -1 = none.
-        frames: world_T_plane, shape (P, 4, 4).
-        half: half the sides of the rectangle that is parted, shape (P, 2), m; points beyond it are of its rim.
-        sums: shape (P, SIDE, SIDE, 6).
+    Points (N, 3), m, of ``groups`` (N,), -1 = none, have ``variances`` (N, 1) or (N, 9), or (1, .) for all, m^2.
+    ``half`` (P, 2), m, are half the sides of the rectangles that are parted; points beyond are of the rim.
     """
     step = 1 if variances.shape[0] == points.shape[0] else 0
     isotropic = variances.shape[1] == 1

@@ -8,49 +8,42 @@ from numpy.typing import ArrayLike
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array
 from spplanes._jit import inlined, njit
 
-_GOOD, _NOT_FINITE, _ASYMMETRIC, _INDEFINITE, _ZERO, _EXTREME = 0, 1, 2, 3, 4, 5
-
 #: Coordinates up to this, m, and variances from this on and up to that, m^2: their products stay within floats.
 LARGEST_COORDINATE = 1e15
 SMALLEST_VARIANCE, LARGEST_VARIANCE = 1e-30, 1e30
 
 
 @inlined
-def _judge(c, tolerance: float, least: float, most: float) -> int:
-    """What a (3, 3) matrix is. Semidefinite up to the tolerance: with that much on its diagonal all pivots are > 0."""
+def _is_covariance(c, tolerance: float, least: float, most: float) -> bool:
+    """Whether a (3, 3) matrix is one: semidefinite where, with the tolerance on its diagonal, all pivots are > 0."""
     scale = 0.0
     for j in range(3):
         for k in range(3):
             if not np.isfinite(c[j, k]):
-                return _NOT_FINITE
+                return False
             scale = max(scale, abs(c[j, k]))
-    if scale == 0.0:
-        return _ZERO
     if not least <= scale <= most:
-        return _EXTREME
+        return False
     slack = tolerance * scale
     if max(abs(c[0, 1] - c[1, 0]), abs(c[0, 2] - c[2, 0]), abs(c[1, 2] - c[2, 1])) > slack:
-        return _ASYMMETRIC
+        return False
     a, d, f = c[0, 0] + slack, c[1, 1] + slack, c[2, 2] + slack
     if a <= 0.0:
-        return _INDEFINITE
+        return False
     d -= c[0, 1] * c[0, 1] / a
     e = c[1, 2] - c[0, 1] * c[0, 2] / a
     f -= c[0, 2] * c[0, 2] / a
-    if d <= 0.0 or f <= e * e / d:
-        return _INDEFINITE
-    return _GOOD
+    return d > 0.0 and f > e * e / d
 
 
 @njit(cache=True)
-def _first_bad_covariance(covariances, valid, tolerance: float, least: float, most: float) -> tuple[int, int]:
-    """Index and fault of the first matrix of a valid point that is no covariance, or (-1, 0)."""
+def _first_bad_covariance(covariances, valid, tolerance: float, least: float, most: float) -> int:
+    """Index of the first matrix of a valid point that is no covariance, or -1."""
     for i in range(covariances.shape[0]):
-        if valid[i] and not _is_plain(covariances, i, least, most):
-            fault = _judge(covariances[i], tolerance, least, most)
-            if fault != _GOOD:
-                return i, fault
-    return -1, _GOOD
+        plain = not valid[i] or _is_plain(covariances, i, least, most)
+        if not (plain or _is_covariance(covariances[i], tolerance, least, most)):
+            return i
+    return -1
 
 
 @inlined
@@ -73,9 +66,8 @@ def as_points(name: str, value: ArrayLike) -> FloatArray:
     points = _writable(points)
     if points.size and not (points.max() <= LARGEST_COORDINATE and points.min() >= -LARGEST_COORDINATE):  # NaN, too
         bad = int(np.argmin((np.abs(points) <= LARGEST_COORDINATE).all(axis=1)))
-        wanted = (
-            f"coordinates within {LARGEST_COORDINATE:.0e} m" if np.isfinite(points[bad]).all() else "finite numbers"
-        )
+        finite = np.isfinite(points[bad]).all()
+        wanted = f"coordinates within {LARGEST_COORDINATE:.0e} m" if finite else "finite numbers"
         raise ValueError(f"{name}: expected {wanted}, got {points[bad].tolist()} at index {bad}")
     return points
 
@@ -104,12 +96,8 @@ def as_covariances(
 ) -> FloatArray:
     """Return symmetric positive semidefinite matrices (..., 3, 3); singular is allowed, all zero is not.
 
-    Args:
-        name: of the argument.
-        value: what was given for it.
-        shape: of the points.
-        valid: which points are judged, of that shape, bool; None: all.
-        least, most: what the largest entry of a matrix may be, m^2.
+    ``shape`` is that of the points, ``valid``, of that shape, tells which are judged, all of them if None. The largest
+    entry of a matrix may be from ``least`` to ``most``, m^2.
     """
     covariances = as_float_array(name, value)
     if covariances.shape != (*shape, 3, 3):
@@ -117,20 +105,21 @@ def as_covariances(
     covariances = _writable(covariances)
     judged = np.ones(shape, dtype=bool) if valid is None else valid
     matrices = covariances.reshape(-1, 3, 3)
-    bad, fault = _first_bad_covariance(matrices, judged.ravel(), COVARIANCE_TOLERANCE, least, most)
+    bad = _first_bad_covariance(matrices, judged.ravel(), COVARIANCE_TOLERANCE, least, most)
     if bad >= 0:
-        raise ValueError(f"{name}: {_describe(fault, matrices[bad], least, most)} at index {bad}")
+        raise ValueError(f"{name}: {_fault_of(matrices[bad], least, most)} at index {bad}")
     return covariances
 
 
-def _describe(fault: int, matrix: FloatArray, least: float, most: float) -> str:
-    if fault == _NOT_FINITE:
+def _fault_of(matrix: FloatArray, least: float, most: float) -> str:
+    if not np.isfinite(matrix).all():
         return "expected finite numbers, got NaN or infinity"
-    if fault == _ASYMMETRIC:
-        return "expected symmetric matrices, got one that differs from its transpose"
-    if fault == _ZERO:
+    largest = float(np.abs(matrix).max())
+    if largest == 0.0:
         return "expected some uncertainty in every point, got a zero matrix"
-    if fault == _EXTREME:
-        return f"expected the largest entries in {least:.0e} to {most:.0e} m^2, got {np.abs(matrix).max():.3g}"
+    if not least <= largest <= most:
+        return f"expected the largest entries in {least:.0e} to {most:.0e} m^2, got {largest:.3g}"
+    if np.abs(matrix - matrix.T).max() > COVARIANCE_TOLERANCE * largest:
+        return "expected symmetric matrices, got one that differs from its transpose"
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     return f"expected positive semidefinite matrices, got smallest eigenvalue {smallest:.3g}"

@@ -10,6 +10,8 @@ Errors of successive scans may be correlated, rho^|s - t|: a running sum u carri
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from spplanes._check import FloatArray
@@ -26,15 +28,10 @@ def roots(pose_covariances: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def accumulate(grid, regions, errors, total, running):
-    """Add the scans of a grid to the sums of their regions, in place.
+    """Add the scans of a grid (points, covariances, labels) to the sums D (R, 4, 4) and u (R, 6, 4) of their regions.
 
-    Args:
-        grid: points (S, B, 3), covariances (S, B, K), and labels (S, B), which index the regions.
-        regions: planes (normal, d), shape (R, 4), and the points r, shape (R, 3).
-        errors: square root of every scan's pose covariance, shape (S, 6, 6), points about which the errors turn, shape
-            (S, 3), and the correlation rho of the errors of successive scans, 0 for independent ones.
-        total: D of every region, shape (R, 4, 4).
-        running: u of every region, shape (R, 6, 4).
+    ``regions`` are planes (normal, d), (R, 4), and the points r, (R, 3); ``errors`` the square roots of the scans' pose
+    covariances, (S, 6, 6), the points about which they turn, (S, 3), and rho, 0 for independent ones.
     """
     (_, _, labels), (pose_roots, origins, decay) = grid, errors
     n_regions = total.shape[0]
@@ -101,24 +98,16 @@ def _add(moments, grid, i, j, regions, r, origins):
 def merge_sums(
     anchor_a: FloatArray, anchor_b: FloatArray, total_b: FloatArray, running_b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The sums of region b, (4, 4) and (6, 4), about the anchor of region a.
-
-    What the two regions share in scans that both have points in is not in their sums; it is left out.
-    """
+    """The sums of region b, (4, 4) and (6, 4), about the anchor of region a; what the two share in scans that both have
+    points in is not in their sums, and left out."""
     shift = np.eye(4)
     shift[1:, 0] = anchor_b - anchor_a
     return shift @ total_b @ shift.T, running_b @ shift.T
 
 
 def covariance_of(frame: FloatArray, spread: FloatArray, anchor: FloatArray, total: FloatArray) -> FloatArray:
-    """What the pose errors add to the covariance of (z, theta, psi) of a plane, shape (3, 3).
-
-    Args:
-        frame: world_T_plane, shape (4, 4).
-        spread: diagonal of the plane's information: W, sum w x^2, sum w y^2, shape (3,).
-        anchor: the point r, shape (3,).
-        total: D, shape (4, 4).
-    """
+    """What the pose errors add to the covariance of (z, theta, psi) of a plane, shape (3, 3), by D about the anchor r;
+    ``spread`` is the diagonal of the plane's information: W, sum w x^2, sum w y^2."""
     to_plane = np.zeros((3, 4))
     to_plane[0, 0] = 1.0
     to_plane[1:, 1:] = frame[:3, :2].T
@@ -131,16 +120,13 @@ def covariance_of(frame: FloatArray, spread: FloatArray, anchor: FloatArray, tot
 def shared_by_scan(points, pose_covariances, origins):
     """Covariance that the pose error of its scan gives every point, shape (S, B, 9); the points share that error."""
     result = np.empty((*points.shape[:2], 9))
-    in_parts(
-        lambda first, last: _share_poses(points, pose_covariances, origins, first, last, result),
-        len(points),
-        result[..., 0].size,
-    )
+    share_poses = partial(_share_poses, result, points, pose_covariances, origins)
+    in_parts(share_poses, len(points), result[..., 0].size)
     return result
 
 
 @njit(cache=True)
-def _share_poses(points, pose_covariances, origins, first, last, result):
+def _share_poses(result, points, pose_covariances, origins, first, last):
     """J S J^T of the points in the rows from first to last, J = d p / d (x, y, z, phi, theta, psi), written out."""
     half = np.empty((3, 6))
     for i in range(first, last):

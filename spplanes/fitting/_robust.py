@@ -22,15 +22,9 @@ from spplanes.fitting._sums import FLOOR
 
 #: Tukey's constant: 95 % efficient on clean Gaussian points, and blind to what is farther than this many sigma.
 CUTOFF = 4.685
-#: Triples tried: with 30 % outliers, all of them hold one with a chance of 1e-18.
-TRIALS = 100
-#: Points that judge a triple, at most, evenly spread over the group.
-JUDGES = 500
-#: The patch reaches this many standard deviations from its centre; an evenly filled rectangle has 2.5 at its corners.
-PATCH_SIGMAS = 4.0
-PATCH_TURNS = 10
-#: Where the triples come from: fractions of the group, the same in every run.
-FRACTIONS = np.random.default_rng(0).random((TRIALS, 3))
+#: Where the triples come from that are tried: fractions of the group, the same in every run. With 30 % outliers, all
+#: hundred of them hold one with a chance of 1e-18.
+FRACTIONS = np.random.default_rng(0).random((100, 3))
 
 
 def _biweight_means(density: Callable[[FloatArray], FloatArray]) -> tuple[float, float, float]:
@@ -93,7 +87,7 @@ def consensus_frame(group, fractions, cutoff2, frame) -> int:
     """Write the frame of the triple whose plane the group agrees with most."""
     points, _, _, order, lo, hi = group
     n = hi - lo
-    stride = max(1, n // JUDGES)
+    stride = max(1, n // 500)  # some 500 points, evenly spread, judge a triple
     trial, best = np.empty((4, 4)), np.inf
     for t in range(fractions.shape[0]):
         i = order[lo + int(fractions[t, 0] * n)]
@@ -133,7 +127,7 @@ def patch_points(group, frame, cutoff2, kept) -> int:
     points, covs, step, order, lo, hi = group
     mx = my = xx = xy = yy = 0.0
     before = -1.0
-    for turn in range(PATCH_TURNS):
+    for turn in range(10):
         n = sx = sy = sxx = sxy = syy = 0.0
         for k in range(lo, hi):
             x, y, square = locate(points, covs, step, order[k], frame)
@@ -162,16 +156,14 @@ def patch_points(group, frame, cutoff2, kept) -> int:
 
 @inlined
 def within_patch(x, y, xx, xy, yy) -> bool:
-    """Whether (x, y) is within PATCH_SIGMAS of a spread, by its Mahalanobis distance."""
-    return yy * x * x - 2.0 * xy * x * y + xx * y * y <= PATCH_SIGMAS * PATCH_SIGMAS * (xx * yy - xy * xy)
+    """Whether (x, y) is within 4 sigma of a spread; an evenly filled rectangle has 2.5 at its corners."""
+    return yy * x * x - 2.0 * xy * x * y + xx * y * y <= 16.0 * (xx * yy - xy * xy)
 
 
 @inner(cache=True)
 def ring_information(group, frame, cutoff2, ring) -> None:
-    """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off.
-
-    These are outliers, and as many as hide within the cutoff where outliers are spread evenly.
-    """
+    """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off:
+    outliers, as many as hide within the cutoff where they are spread evenly."""
     points, covs, step, order, lo, hi = group
     nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
     for k in range(lo, hi):

@@ -20,6 +20,9 @@ from spplanes.fitting import _kernels as kernels
 from spplanes.fitting._pose_kernels import levers, scan_sums
 from spplanes.fitting._sums import INFORMATION, N_SUMS, RAW, accumulate
 
+#: Points, their covariances, and the step between these, as in the kernels.
+Cloud = tuple[FloatArray, FloatArray, int]
+
 
 @dataclass(frozen=True, eq=False)
 class SharedPose:
@@ -119,23 +122,16 @@ def _square_roots(covariances: FloatArray) -> FloatArray:
 
 
 def fit_shared_pose(
-    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, shared: SharedPose, base: FloatArray
+    cloud: Cloud, viewpoint: FloatArray, shared: SharedPose, base: FloatArray
 ) -> tuple[int, FloatArray, FloatArray, float]:
-    """Joint maximum likelihood of the plane and the scans' pose errors.
+    """Joint maximum likelihood of the plane and the scans' pose errors: outcome, frame, covariance and chi2.
 
-    Args:
-        points, covs, step: as in the kernels.
-        viewpoint: shape (3,), NaN for none.
-        shared: the shared pose errors.
-        base: (4, 4) frame to start from; it is moved to the optimum.
-
-    Returns:
-        Outcome, frame (4, 4), covariance (3, 3) of (z, theta, psi), and chi2.
+    ``cloud``: points, covs, step as in the kernels; ``base``, (4, 4), the frame to start from, is moved to the optimum.
     """
     u = np.zeros((len(shared.roots), shared.roots.shape[2]))
     left, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):
-        info, cross, plane_side, pose_side, middle, cost = _normal_equations(points, covs, step, shared, base, u)
+        info, cross, plane_side, pose_side, middle, cost = _normal_equations(cloud, shared, base, u)
         chi2 = cost + float(np.sum(u * u))
         coupling = cross @ shared.roots
         open_side = (shared.roots.transpose(0, 2, 1) @ pose_side[..., None])[..., 0] - u
@@ -149,43 +145,35 @@ def fit_shared_pose(
         left = np.empty((3, 3))
         if not _invert(information[np.triu_indices(3)], left):
             return OPEN_POSES, base, left, chi2
-        gradient -= 0.5 * _volume_gradient(points, covs, step, shared, base, u, solved[..., :3], np.sqrt(np.diag(left)))
+        gradient -= 0.5 * _volume_gradient(cloud, shared, base, u, solved[..., :3], np.sqrt(np.diag(left)))
         step_b = left @ gradient
         step_u = solved[..., 3] - solved[..., :3] @ step_b
         u += step_u
         kernels.move_frame(base.copy(), step_b[0], step_b[1], step_b[2], base)
         if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
             break
-    return *_finish(points, covs, step, viewpoint, base, left), chi2
+    return *_finish(cloud, viewpoint, base, left), chi2
 
 
 def _normal_equations(
-    points: FloatArray, covs: FloatArray, step: int, shared: SharedPose, base: FloatArray, u: FloatArray
+    cloud: Cloud, shared: SharedPose, base: FloatArray, u: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """Sums of a Gauss-Newton step, by scan or stacked where their errors hang together; information on u; sum w r^2."""
     scans = len(shared.origins)
     info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
     plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
     xi = (shared.roots @ u[..., None]).reshape(scans, 6)
-    cost = scan_sums(
-        points, covs, step, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side
-    )
+    cost = scan_sums(*cloud, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side)
     pose_roots = (pose @ shared.roots_by_scan).reshape(shared.roots.shape)
-    if shared.is_joint:
-        info, cross, plane_side, pose_side = _stacked(info, cross, plane_side, pose_side)
+    if shared.is_joint:  # the sums of a single scan whose pose error is those of all, stacked
+        info, cross = info.sum(axis=0)[None], cross.transpose(1, 0, 2).reshape(1, 3, 6 * scans)
+        plane_side, pose_side = plane_side.sum(axis=0)[None], pose_side.reshape(1, 6 * scans)
     middle = np.eye(u.shape[1]) + shared.roots.transpose(0, 2, 1) @ pose_roots
     return info, cross, plane_side, pose_side, middle, cost
 
 
 def _volume_gradient(
-    points: FloatArray,
-    covs: FloatArray,
-    step: int,
-    shared: SharedPose,
-    base: FloatArray,
-    u: FloatArray,
-    follow: FloatArray,
-    by: FloatArray,
+    cloud: Cloud, shared: SharedPose, base: FloatArray, u: FloatArray, follow: FloatArray, by: FloatArray
 ) -> FloatArray:
     """Derivative, by (z, theta, psi), of log det of the information on u, by central differences of ``by`` (3,).
 
@@ -200,7 +188,7 @@ def _volume_gradient(
         for sign in (1.0, -1.0):
             z, theta, psi = (sign * by[j] * (j == k) for j in range(3))
             kernels.move_frame(base, z, theta, psi, moved)
-            middle = _normal_equations(points, covs, step, shared, moved, u - follow @ (z, theta, psi))[4]
+            middle = _normal_equations(cloud, shared, moved, u - follow @ (z, theta, psi))[4]
             volumes.append(np.linalg.slogdet(middle)[1].sum())
         gradient[k] = (volumes[0] - volumes[1]) / (2.0 * by[k])
     return gradient
@@ -212,29 +200,13 @@ def _invert(upper: FloatArray, out: FloatArray) -> bool:
     return kernels.invert3(a, b, c, d, e, f, out)
 
 
-def _stacked(
-    info: FloatArray, cross: FloatArray, plane_side: FloatArray, pose_side: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The sums of all scans as those of a single one whose pose error is theirs, stacked."""
-    scans = len(pose_side)
-    return (
-        info.sum(axis=0)[None],
-        cross.transpose(1, 0, 2).reshape(1, 3, 6 * scans),
-        plane_side.sum(axis=0)[None],
-        pose_side.reshape(1, 6 * scans),
-    )
-
-
 def _finish(
-    points: FloatArray, covs: FloatArray, step: int, viewpoint: FloatArray, base: FloatArray, left: FloatArray
+    cloud: Cloud, viewpoint: FloatArray, base: FloatArray, left: FloatArray
 ) -> tuple[int, FloatArray, FloatArray]:
-    """Outcome, frame and covariance at the optimum.
-
-    ``left``, shape (3, 3): the inverse of the information on the slopes that the pose errors leave. The covariance is
-    that, and what the noise along the plane adds without pose errors.
-    """
+    """Outcome, frame and covariance at the optimum: ``left``, the inverse (3, 3) of the information on the slopes that
+    the pose errors leave, and what the noise along the plane adds without pose errors."""
     sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
-    accumulate((points, covs, step, np.arange(len(points)), 0, len(points)), base, np.inf, sums)
+    accumulate((*cloud, np.arange(len(cloud[0])), 0, len(cloud[0])), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
     score, plain = sums[INFORMATION:RAW], np.empty((3, 3))
     if status == OK and not (_invert(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):

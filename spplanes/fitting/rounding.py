@@ -19,37 +19,19 @@ import numpy as np
 
 from spplanes._check import FloatArray
 
-#: Coordinates of so many points at most are asked for their step.
-_SAMPLE = 4096
-#: Distinct values differ by more than this share of the largest magnitude: the rest is arithmetic.
-_ARITHMETIC = 1e-12
-#: Fewest gaps between distinct values that tell a step: fewer may be multiples of the smallest by chance.
-_FEWEST_GAPS = 5
-#: A step holds for other axes as well where the points extend over so many of it: else it may be that of a mesh.
-_FINE = 100.0
-#: Multiples of a step are whole to this.
-_WHOLE = 0.01
-#: What is less than this share of the variance of an offset is left out.
-_NEGLIGIBLE = 1e-6
-
 
 def with_rounding(
     covariances: FloatArray, noise: FloatArray, points: FloatArray, frames: FloatArray, seen: FloatArray
 ) -> FloatArray:
-    """The covariances with what rounded coordinates leave as a common error, shape (P, 3, 3); as given without any.
+    """The covariances (P, 3, 3) with what rounded coordinates leave as a common error; as given without any.
 
-    Args:
-        covariances: of (z, theta, psi) with all other errors, shape (P, 3, 3).
-        noise: the same by the stated noise alone, shape (P, 3, 3).
-        points: shape (N, 3), m.
-        frames: world_T_plane of the planes, shape (P, 4, 4).
-        seen: variance of the points about their planes, shape (P,), m^2.
+    ``noise`` are the same by the stated noise alone, ``seen`` (P,) the variances of the points about their planes, m^2.
     """
     steps = coordinate_steps(points)
     if not steps.any():
         return covariances
     common = _common_variances(steps, noise, frames, seen)
-    some = common > _NEGLIGIBLE * covariances[:, 0, 0]
+    some = common > 1e-6 * covariances[:, 0, 0]
     if not some.any():
         return covariances
     total = covariances.copy()
@@ -60,13 +42,14 @@ def with_rounding(
 def coordinate_steps(points: FloatArray) -> FloatArray:
     """What the coordinates of points (N, 3) are multiples of, up to an offset, along each axis, (3,), m; 0: of nothing.
 
-    An axis with a few values only, that of a single wall, tells no step: it is taken to have that of the others, the
-    least of them, if its own values differ by multiples of it.
+    Five gaps tell a step: fewer may be multiples of the smallest by chance. An axis with fewer, that of a single wall,
+    is taken to have the least step of the others, if its own values differ by multiples of it. Of these count the ones
+    that the points extend over a hundred times: else a step may be that of a mesh.
     """
-    every = -(-max(len(points), 1) // _SAMPLE)
+    every = -(-max(len(points), 1) // 4096)
     gaps = [_gaps(axis[np.isfinite(axis)]) for axis in points[::every].T]
-    own = [_step(one, one.min()) if len(one) >= _FEWEST_GAPS else None for one in gaps]
-    told = [step if one.sum() >= _FINE * step else 0.0 for step, one in zip(own, gaps, strict=True) if step is not None]
+    own = [_step(one, one.min()) if len(one) >= 5 else None for one in gaps]
+    told = [step if one.sum() >= 100.0 * step else 0.0 for step, one in zip(own, gaps, strict=True) if step is not None]
     least = min(told, default=0.0)
     for axis in [k for k in range(3) if own[k] is None]:
         own[axis] = _step(gaps[axis], least) if least else 0.0
@@ -74,17 +57,17 @@ def coordinate_steps(points: FloatArray) -> FloatArray:
 
 
 def _gaps(values: FloatArray) -> FloatArray:
-    """Differences of successive distinct values, shape (M,)."""
+    """Differences of successive distinct values, shape (M,); what is smaller than these is arithmetic."""
     gaps = np.diff(np.sort(values))
-    return gaps[gaps > _ARITHMETIC * np.abs(values).max(initial=0.0)]
+    return gaps[gaps > 1e-12 * np.abs(values).max(initial=0.0)]
 
 
 def _step(gaps: FloatArray, about: float) -> float:
-    """The step near ``about`` that all sums of successive gaps are whole multiples of, else 0."""
+    """The step near ``about`` that all sums of successive gaps are whole multiples of, to 1 %, else 0."""
     counts = np.rint(gaps / about)
     step = float(gaps.sum() / counts.sum()) if counts.any() else about
     off = np.cumsum(gaps) - step * np.cumsum(counts)
-    return step if np.abs(off).max(initial=0.0) < _WHOLE * step else 0.0
+    return step if np.abs(off).max(initial=0.0) < 0.01 * step else 0.0
 
 
 def _common_variances(steps: FloatArray, noise: FloatArray, frames: FloatArray, seen: FloatArray) -> FloatArray:

@@ -13,8 +13,6 @@ from spplanes._threads import in_parts
 APART = 4.0
 #: Planes whose normals enclose less than this do not meet in a seam: cosine of 30 deg.
 SAME_WAY = 0.866
-#: Variance across a beam, of that along it: what beams that graze a plane read is not their range's noise alone.
-_ACROSS = 0.01
 
 
 def at_seams(
@@ -65,10 +63,13 @@ def placed(points: FloatArray, covariance: FloatArray, labels: np.ndarray, frame
 
 
 def along_beams(points: FloatArray, eyes: FloatArray) -> FloatArray:
-    """Covariances of noise of 1 m along the beams from eyes (S, B, 3) or (S, 1, 3) to points (S, B, 3): (S, B, 9)."""
+    """Covariances of noise of 1 m along the beams from eyes (S, B, 3) or (S, 1, 3) to points (S, B, 3): (S, B, 9).
+
+    There is a hundredth across: what beams that graze a plane read is not their range's noise alone.
+    """
     beams = points - eyes
     beams /= np.maximum(np.linalg.norm(beams, axis=2, keepdims=True), 1e-12)
-    return (beams[..., :, None] * beams[..., None, :] + _ACROSS * np.eye(3)).reshape(*points.shape[:2], 9)
+    return (beams[..., :, None] * beams[..., None, :] + 0.01 * np.eye(3)).reshape(*points.shape[:2], 9)
 
 
 def _hesse(frames: FloatArray) -> FloatArray:
@@ -80,11 +81,9 @@ def _hesse(frames: FloatArray) -> FloatArray:
 def _neighbours(
     frames: FloatArray, planes: FloatArray, boxes: FloatArray, margins: FloatArray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Planes that look another way and come near each one: those of r are others[first[r]:first[r + 1]].
+    """Planes that look another way and come near, to margins (R,), m; those of r are others[first[r]:first[r + 1]].
 
-    Args:
-        frames, planes, boxes: of the planes, (R, 4, 4), (R, 4), and the (x, y) from and to in their frames, (R, 4).
-        margins: distance that counts as near, shape (R,), m.
+    ``planes`` are (normal, d), ``boxes`` the (x, y) from and to in their frames, (R, 4) both.
     """
     x, y = boxes[:, [0, 2, 2, 0]], boxes[:, [1, 1, 3, 3]]
     held = np.asarray(np.isfinite(x).all(axis=1))
@@ -102,8 +101,7 @@ def _neighbours(
 @njit(cache=True)
 def _enclose(grid, regions, uneven, boxes, widest):
     """Boxes of the planes in their frames, and the largest variance of a place on each in any direction, in place."""
-    (points, covariance, labels), (frames, planes) = grid, regions
-    toward = np.empty(3)
+    (points, covariance, labels), (frames, planes), toward = grid, regions, np.empty(3)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             r = labels[i, j]
@@ -129,8 +127,7 @@ def _trace(covariance, i, j):
 @njit(cache=True)
 def _find_rows(grid, regions, uneven, begin, end, found):
     """Set `found` for the points, in some rows, whose place on their plane may be on another one."""
-    (points, covariance, labels), (frames, planes, boxes, first, others) = grid, regions
-    toward = np.empty(3)
+    (points, covariance, labels), (frames, planes, boxes, first, others), toward = grid, regions, np.empty(3)
     for i in range(begin, end):
         for j in range(labels.shape[1]):
             r = labels[i, j]
@@ -166,8 +163,7 @@ def _find_rows(grid, regions, uneven, begin, end, found):
 @njit(cache=True)
 def _move_rows(grid, planes, begin, end, moved):
     """Move points along their plane to where their beams meet it, in some rows, in place."""
-    points, covariance, labels = grid
-    toward = np.empty(3)
+    (points, covariance, labels), toward = grid, np.empty(3)
     for i in range(begin, end):
         for j in range(labels.shape[1]):
             r = labels[i, j]

@@ -35,16 +35,8 @@ from spplanes.fitting.rounding import with_rounding
 SIGNIFICANCE = 1e-3
 #: Mean distance of the points of a rectangle, as exp(mean log), in the sum of its sides (Maxwell's geometric mean).
 MEAN_DISTANCE = 0.2235
-#: Points of a plane, on average, by which its noise is judged where patches may be as narrow as that.
-_SAMPLE = 1000
-#: Planes that are asked at a time.
-_FEW = 50
 #: Likelihoods are worked out where the slope at tau = 0 is above so many standard deviations.
 _HINT = 2.0
-#: A uniform rectangle's half side in standard deviations.
-_HALF = 3.0**0.5
-#: A guess of the noise is lowered to this share of its variance at most: no points are without any.
-_LEAST_FACTOR = 1e-4
 #: How much of what the contrasts of one plane tell of its tau^2 is believed: that its longer waves, which turn it, are
 #: of the same variance is an assumption. Angles between planes seen twice by two lidars and a Kinect, mean chi2, and
 #: share beyond 99.9 %: all of it .57 to 1.6, 0 to 2.8 %; half .52 to 1.1, 0 to 1.1 %.
@@ -85,11 +77,9 @@ def shared_error_of(
     What rounded coordinates have in common is part of the covariances as well (`spplanes.fitting.rounding`).
 
     Args:
-        points: shape (N, 3), m.
+        points, groups: shape (N, 3), m, and the plane of each, shape (N,), -1 = none.
         variances: of the points, shape (N, 1) isotropic or (N, 9), or of one for all, m^2.
-        groups: plane of every point, shape (N,), -1 = none.
-        frames: world_T_plane of the planes, shape (P, 4, 4).
-        covariances: of (z, theta, psi) by the stated noise alone, shape (P, 3, 3).
+        frames, covariances: world_T_plane, (P, 4, 4); of (z, theta, psi) by the stated noise alone, (P, 3, 3).
         stated: whether the variances are a lower bound, or a guess that residuals may lower.
         least_m: least standard deviation of an octave, m.
         estimate: look for more; else the noise is what was stated, and the shared error the least.
@@ -132,7 +122,7 @@ class _Patches:
     ) -> _Patches:
         """Part every plane, its sides by its own spread: information of a tilt over that of the offset is x^2."""
         diagonal = np.diagonal(covariances, axis1=1, axis2=2)
-        half = _HALF * np.sqrt(diagonal[:, :1] / diagonal[:, 1:])
+        half = 3.0**0.5 * np.sqrt(diagonal[:, :1] / diagonal[:, 1:])  # of a uniform rectangle
         blurred = half < SIDE * _noise_along(variances, groups, len(frames))[:, None]
         sums = np.zeros((len(frames), SIDE, SIDE, 6))
         add_to_patches(points, variances, groups, frames, np.where(blurred, np.inf, half), sums)
@@ -160,7 +150,7 @@ class _Patches:
         own = self.chi2 / dof
         common = weighted_median(own, self.dof) if self.dof.sum() > 0.0 else 1.0
         refused = self.chi2.sum() > chdtri(max(self.dof.sum(), 1.0), SIGNIFICANCE)
-        common = max(common if refused else 1.0, 1.0) if stated else max(common, _LEAST_FACTOR)
+        common = max(common if refused else 1.0, 1.0) if stated else max(common, 1e-4)  # never none
         return np.where(self.chi2 > common * chdtri(dof, _of_one(len(dof), refused)), np.maximum(own, common), common)
 
     def scatter(self) -> FloatArray:
@@ -192,10 +182,8 @@ class _Patches:
         return root * self.means[planes], kernel, trend, np.linalg.inv(square).astype(np.float64)
 
     def _scores(self, planes: np.ndarray, factors: FloatArray) -> FloatArray:
-        """Twice the slope of the log likelihood at tau^2 = 0, its expectation 0, and its variance there, (2, N).
-
-        With r what the trend T leaves of the means and A = K T: r^T K r - tr(P K), and 2 tr(P K P K).
-        """
+        """Twice the slope of the log likelihood at tau^2 = 0, its expectation 0, and its variance there, (2, N): with r
+        what the trend T leaves of the means and A = K T, r^T K r - tr(P K), and 2 tr(P K P K)."""
         seen, kernel, trend, inverse = self._whitened(planes, factors)
         back = np.swapaxes(trend, 1, 2)
         seen = seen - (trend @ (inverse @ (back @ seen[..., None])))[..., 0]
@@ -224,21 +212,16 @@ class _Patches:
 
 
 def _of_one(n_planes: int, shared: bool) -> float:
-    """Significance at which one plane of many has an error of its own.
-
-    Where most of them have one that is common occurrence; where none has, one false alarm among all is bad enough.
-    """
+    """Significance at which one plane of many has an error; where none has, one false alarm among all is bad enough."""
     return SIGNIFICANCE if shared else SIGNIFICANCE / n_planes
 
 
 def _noise_along(variances: FloatArray, groups: np.ndarray, n_planes: int) -> FloatArray:
-    """Standard deviation of the points of every plane in any direction, shape (P,), m; of many by a sample of them.
-
-    Patches narrower than two of it would sort points by their noise, which goes together with that of the residuals.
-    """
+    """Standard deviation of the points of every plane in any direction, (P,), m, of many by a sample: patches narrower
+    than two of it would sort points by their noise, which goes together with that of the residuals."""
     if len(variances) == 1 < len(groups):
         return np.full(n_planes, np.sqrt(_traces(variances)[0]))
-    some = slice(None, None, max(len(groups) // (_SAMPLE * n_planes), 1))
+    some = slice(None, None, max(len(groups) // (1000 * n_planes), 1))
     place = groups[some] + 1  # one more for points of no plane
     sums = np.bincount(place, _traces(variances[some]), minlength=n_planes + 1)[1:]
     counts = np.bincount(place, minlength=n_planes + 1)[1:]
@@ -252,13 +235,10 @@ def _traces(variances: FloatArray) -> FloatArray:
 def _of_planes(
     values: FloatArray, squares: FloatArray, least: float, most: bool, n_planes: int
 ) -> tuple[float, FloatArray]:
-    """tau^2 of the median plane, and of each of those that are asked, (P,), m^2.
+    """tau^2 of the median plane, and of each of those that are asked, (P,), m^2, by their contrasts
+    (`_Patches._contrasts`).
 
-    Args:
-        values, squares: their contrasts, see `_Patches._contrasts`.
-        least: of tau^2, m^2.
-        most: whether all planes together hint at more.
-        n_planes: how many there are.
+    ``most``: whether all ``n_planes`` together hint at more than the ``least``.
     """
     values = _longer_half(values)
     if not values.any():
@@ -276,7 +256,7 @@ def _of_planes(
 
 def _few(*arrays: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
     """Arrays of one length, so many of their rows at a time that what is worked on stays in the processor's cache."""
-    yield from zip(*(np.array_split(one, len(one) // _FEW + 1) for one in arrays), strict=True)
+    yield from zip(*(np.array_split(one, len(one) // 50 + 1) for one in arrays), strict=True)
 
 
 def _of_a_population(likelihoods: FloatArray, taus: FloatArray) -> tuple[float, FloatArray]:
@@ -300,11 +280,9 @@ def _populations() -> FloatArray:
 
 
 def _longer_half(values: FloatArray) -> FloatArray:
-    """The contrasts (P, M) of the longer waves, the last ones, 0 in place of the others, as of those that tell nothing.
-
-    What turns a plane is longer than it: of a real wall the octaves next to that tell most. Short ones are many, and
-    where their octaves are not of the same variance they would speak louder than those.
-    """
+    """The contrasts (P, M) of the longer waves, the last ones, 0 in place of the others, as of those that tell nothing:
+    of a real wall the octaves next to it tell most of what turns it, and short ones, which are many, would speak
+    louder."""
     longer = np.arange(values.shape[1])[::-1]
     return np.where(2 * longer < np.count_nonzero(values, axis=1)[:, None], values, 0.0)
 

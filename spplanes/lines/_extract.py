@@ -20,20 +20,9 @@ from spplanes.lines._fit import (
     trim,
     turning,
 )
-from spplanes.lines._kernels import (
-    Beams,
-    beam_moments,
-    find_breaks,
-    order_beams,
-    refine,
-    slope_sigmas,
-    split,
-)
+from spplanes.lines._kernels import Beams, beam_moments, find_breaks, order_beams, refine, slope_sigmas, split
 from spplanes.lines._merge import add_flatness, merge
 from spplanes.lines._round import find_round
-
-#: Columns of a result row: alpha, rho, chi2, dof, covariance (4), end points (4).
-N_RESULT = 12
 
 
 class Rules(NamedTuple):
@@ -66,16 +55,10 @@ def beams_of(scan, sigma):
     return Beams(scan[BEARING], scan[COSINE], scan[SINE], scan[RANGE], scan[sigma])
 
 
-@inlined
-def rules_of(n):
-    """The rules of their numbers: named, they would cost each call from Python as much as half a scan."""
-    return Rules(*n)
-
-
 @njit(cache=True)
 def order_scan(ranges, angles, sigmas, order, step, numbers):
     """Returns in order (V,), a step apart: their rows (N_ROWS, V), moments, breaks (V,); the largest step in a line."""
-    rules, rows = rules_of(numbers), np.empty((N_ROWS, order.size))
+    rules, rows = Rules(*numbers), np.empty((N_ROWS, order.size))
     for k in range(order.size):
         beam = order[k]
         rows[BEARING, k], rows[RANGE, k], rows[SIGMA, k] = angles[beam], ranges[beam], sigmas[beam]
@@ -88,7 +71,7 @@ def order_scan(ranges, angles, sigmas, order, step, numbers):
 @njit(cache=True)
 def label_scan(scan, moments, breaks, max_step, numbers):
     """Labels (V,) of the returns: which line each may be of, -1 = none."""
-    rules, beams = rules_of(numbers), beams_of(scan, SLOPE_SIGMA)
+    rules, beams = Rules(*numbers), beams_of(scan, SLOPE_SIGMA)
     starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
     is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
     bounds = rules.max_missing, max_step
@@ -96,20 +79,16 @@ def label_scan(scan, moments, breaks, max_step, numbers):
 
 
 def ring_start(members: np.ndarray, begins: np.ndarray) -> int:
-    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0.
-
-    Beams members[begins[k] : begins[k + 1]] have label k.
-    """
+    """Where a closed ring can be cut without cutting a line: the first beam of one that no other bridges; else 0. Beams
+    members[begins[k] : begins[k + 1]] have label k."""
     first, last = members[begins[:-1]], members[begins[1:] - 1]
     return next((beam for beam in first[1:].tolist() if not ((first < beam) & (beam <= last)).any()), 0)
 
 
 @inner(cache=True)
 def fit_label(beams, moments, breaks, labels, members, rules):
-    """Line of a label's beams; the beams on it, ends trimmed and grown; how many are surely, how many of them fitted.
-
-    Beams beside another surface are on the line but not in the fit.
-    """
+    """Line of a label's beams; the beams on it, ends trimmed and grown; how many are surely, how many of them fitted:
+    those beside another surface are on the line but not in the fit."""
     label = labels[members[0]]
     core = drop_doubtful_ends(moments, members)
     n_borders = core.size
@@ -152,8 +131,11 @@ def is_line(beams, members, counts, line, rules):
 def extract(
     ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: Rules
 ) -> tuple[FloatArray, np.ndarray, np.ndarray]:
-    """Lines of one scan: rows (M, 12) as N_RESULT says, the beams on them one line after the other, their counts."""
-    numbers = tuple(rules)
+    """Lines of one scan, the beams on them one line after the other, and their counts.
+
+    Lines are rows (M, 12): alpha, rho, chi2, dof, covariance (4), end points (4).
+    """
+    numbers = tuple(rules)  # named, they would cost each call from Python as much as half a scan
     order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
     scan, moments, breaks, max_step = order_scan(ranges, angles, sigmas, order, step, numbers)
     labels = label_scan(scan, moments, breaks, max_step, numbers)
@@ -168,9 +150,9 @@ def extract(
 @njit(cache=True)
 def fit_labels(order, scan, breaks, labels, of_labels, begins, numbers):
     """The line of every label that is one, see `extract`; beams of_labels[begins[k] : begins[k + 1]] have label k."""
-    beams, rules = beams_of(scan, SIGMA), rules_of(numbers)
+    beams, rules = beams_of(scan, SIGMA), Rules(*numbers)
     moments, n_labels = beam_moments(beams), begins.shape[0] - 1
-    rows, support = np.empty((n_labels, N_RESULT)), np.empty(order.size, dtype=np.int64)
+    rows, support = np.empty((n_labels, 12)), np.empty(order.size, dtype=np.int64)
     counts = np.empty(n_labels, dtype=np.int64)
     n_lines = n_support = 0
     for label in range(n_labels):

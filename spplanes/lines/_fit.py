@@ -8,11 +8,6 @@ from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums
 from spplanes.lines._round import solve_symmetric
 
-#: Gauss-Newton ends with a step that lowers chi2 by less than this: a thousandth of a standard deviation.
-STEP_TOLERANCE = 1e-6
-MAX_STEPS = 20
-#: A line grows only where it predicts the range with at most this many times the variance of a beam.
-MAX_PREDICTION = 5.0
 #: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
 END_GATES = np.array((7.88, 10.6, 12.84))
 
@@ -20,10 +15,8 @@ END_GATES = np.array((7.88, 10.6, 12.84))
 @inlined
 def drop_borders(breaks, labels, members):
     """Members without those beside a return that is not on the line; all of them when fewer than three would be left.
-
-    Such a beam may already be on what joins the two surfaces. Of a door jamb hit by one beam within its noise of the
-    wall no residual tells, yet at the end of the line it turns it.
-    """
+    Such a beam may be on what joins the two surfaces: of a door jamb within its noise of the wall no residual tells,
+    yet it turns the line."""
     kept, count = np.empty(members.size, dtype=np.int64), 0
     for k in members:
         after = (k + 1) % labels.size
@@ -102,7 +95,7 @@ def normal_equations(beams, members, alpha, rho):
 @inner(cache=True)
 def fit_beams(beams, members, alpha, rho):
     """Gauss-Newton from (alpha, rho): (alpha, rho, var alpha, cov, var rho, chi2); chi2 = inf: it did not converge."""
-    for _ in range(MAX_STEPS):
+    for _ in range(20):
         i00, i01, i11, g0, g1, chi2 = normal_equations(beams, members, alpha, rho)
         det = i00 * i11 - i01 * i01
         if not det > 1e-13 * i00 * i11:
@@ -111,7 +104,7 @@ def fit_beams(beams, members, alpha, rho):
         alpha, rho = alpha + d0, rho + d1
         if not rho > 0.0:
             break
-        if d0 * g0 + d1 * g1 < STEP_TOLERANCE:
+        if d0 * g0 + d1 * g1 < 1e-6:  # what is left of chi2 is a thousandth of a standard deviation
             return alpha, rho, i11 / det, -i01 / det, i00 / det, chi2
     return alpha, rho, 0.0, 0.0, 0.0, np.inf
 
@@ -128,7 +121,8 @@ def line_sigmas(bearings, sigmas, alpha, rho, bearing_sigma):
 
 @inlined
 def belongs(beams, k, line, gate):
-    """True when beam k, next to the line, is on it: chi2 under `gate`, where the line predicts its range well."""
+    """True when beam k, next to the line, is on it: chi2 under `gate`, where the line predicts its range well, with at
+    most five times the variance of a beam."""
     alpha, rho, v00, v01, v11, _ = line
     bearing, r, sigma = beams.bearings[k], beams.ranges[k], beams.sigmas[k]
     c, s = np.cos(bearing - alpha), np.sin(bearing - alpha)
@@ -136,7 +130,7 @@ def belongs(beams, k, line, gate):
         return False
     by_alpha, by_rho = -rho * s / (c * c), 1.0 / c
     variance = sigma * sigma + by_alpha * by_alpha * v00 + 2.0 * by_alpha * by_rho * v01 + by_rho * by_rho * v11
-    return variance < MAX_PREDICTION * sigma * sigma and (r - rho / c) ** 2 < gate * variance
+    return variance < 5.0 * sigma * sigma and (r - rho / c) ** 2 < gate * variance
 
 
 @inner(cache=True)

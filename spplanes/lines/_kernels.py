@@ -32,8 +32,6 @@ class Beams(NamedTuple):
 
 
 N_SUMS = 6
-#: Below this share of m[0] m[2] the bearings of a set are one bearing and do not define a line.
-SINGULAR = 1e-13
 #: Chi2 a parameter must earn when the place of a split is chosen: the 95 % quantile of chi2 with 1 dof, rounded up.
 PARAMETER_COST = 4.0
 
@@ -98,7 +96,7 @@ def beam_moments(beams):
 def fit_of(cc, cs, ss, cq, sq, qq):
     """(u, v, chi2) of the best line through beams with these six sums; one bearing only: the best perpendicular."""
     det = cc * ss - cs * cs
-    if det <= SINGULAR * (cc + ss) ** 2:
+    if det <= 1e-13 * (cc + ss) ** 2:
         weight = cc + ss
         return cq / weight, sq / weight, max(0.0, qq - (cq * cq + sq * sq) / weight)
     u = (ss * cq - cs * sq) / det
@@ -125,9 +123,7 @@ def sum_range(moments, low, high):
 @inlined
 def triple_fails(beams, sines, j, gate):
     """True when a beam and those beside it are not on one line: chi2 with 1 dof of their collinearity above `gate`.
-
-    `sines` are those of the steps to each beam from the one before.
-    """
+    `sines` are those of the steps to each beam from the one before."""
     bearings, ranges, sigmas = beams.bearings, beams.ranges, beams.sigmas
     i, k = j - 1, j + 1 if j + 1 < bearings.size else 0
     left, right = sines[k], sines[j]
@@ -164,8 +160,8 @@ def find_breaks(beams, max_step, gate):
 def best_split(moments, low, high, cost):
     """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
 
-    `cost` is scratch of `high` floats; cost[k] becomes the chi2 of a split before beam k plus PARAMETER_COST for each
-    parameter used: without it two beams, which some line always fits, would leave the longer piece for nothing.
+    Into `cost`, scratch of `high` floats, goes chi2 plus PARAMETER_COST for each parameter used: without it two beams,
+    which some line always fits, would leave the longer piece for nothing.
     """
     cc = cs = ss = cq = sq = qq = before = 0.0  # scalars: an array of six sums would be written back at every beam
     for k in range(low, high):

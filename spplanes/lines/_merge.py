@@ -73,9 +73,7 @@ def may_bridge(beams, u, v, pieces, both, bounds):
 @inner(cache=True)
 def merge(beams, moments, starts, is_round, bounds, flatness, gate):
     """Join pieces that are one line (chi2 with 2 dof): the label of each beam (V,), -1 for pieces under 3 beams.
-
-    `bounds` are the most beams that may pass through between two pieces, and the widest step in bearing, rad.
-    """
+    `bounds` are the most beams that may pass through between two pieces, and the widest step in bearing, rad."""
     n_pieces = starts.size - 1
     pieces = np.empty((n_pieces, 2), dtype=np.int64)
     sums, both = np.zeros((n_pieces, N_SUMS)), np.empty(N_SUMS)

@@ -7,13 +7,6 @@ import numpy as np
 from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import fit_sums, split_gate, sum_range
 
-MAX_STEPS = 8
-#: A start this many times worse than the lines does not become a circle.
-HOPELESS = 10.0
-#: Gauss-Newton on a circle ends when chi2 changes by less than this.
-CHI2_TOLERANCE = 0.1
-#: A beam that grazes the circle has at least this cosine of incidence: the circle hides what lies beyond.
-MIN_COSINE = 0.1
 #: A share of the scatter that keeps circles of no curvature solvable; it bounds their radius, not that of pillars.
 DAMPING = 1e-9
 
@@ -43,7 +36,8 @@ def circle_step(beams, low, high, x, y, radius):
         dx, dy = ranges[k] * cosine - x, ranges[k] * sine - y
         distance = np.hypot(dx, dy) + 1e-12
         dx, dy = dx / distance, dy / distance
-        weight = 1.0 / (max(abs(dx * cosine + dy * sine), MIN_COSINE) * sigmas[k]) ** 2
+        incidence = max(abs(dx * cosine + dy * sine), 0.1)  # beyond where beams graze it the circle hides what there is
+        weight = 1.0 / (incidence * sigmas[k]) ** 2
         error = distance - radius
         chi2 += weight * error * error
         a, b, c = a + weight * dx * dx, b + weight * dx * dy, c + weight * dx
@@ -89,12 +83,12 @@ def bulging_arc(beams, low, high, chi2_lines):
     cosines, sines, ranges = beams.cosines, beams.sines, beams.ranges
     x, y, radius = algebraic_circle(beams, low, high)
     chi2, previous = np.inf, np.inf
-    for _ in range(MAX_STEPS):
+    for _ in range(8):
         previous = chi2
         x, y, radius, chi2 = circle_step(beams, low, high, x, y, radius)
-        if not 0.0 < radius < 1e3 or chi2 > HOPELESS * chi2_lines:
+        if not 0.0 < radius < 1e3 or chi2 > 10.0 * chi2_lines:  # so bad a start does not become a circle
             return 0.0
-        if abs(chi2 - previous) < CHI2_TOLERANCE:
+        if abs(chi2 - previous) < 0.1:
             break
     if chi2 > chi2_lines or x * x + y * y <= ranges[(low + high) // 2] ** 2:
         return 0.0

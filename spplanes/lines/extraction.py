@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import log
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,11 +14,6 @@ from spplanes._check import FloatArray, as_float_array, as_number, as_positive, 
 from spplanes.fitting.shared_error import shared_error_of
 from spplanes.line import ScanLine
 from spplanes.lines._extract import Rules, extract
-
-#: Two turns, rad: no convention writes a bearing beyond, and any scan in degrees does.
-_LARGEST_BEARING = 4.0 * np.pi
-#: Variance of the tilt that beams of no height leave open, in that of the shift, 1 / m^2.
-_OPEN = 1e12
 
 
 @dataclass(frozen=True)
@@ -51,25 +47,25 @@ class LineConfig:
     def __post_init__(self) -> None:
         for field in fields(self):
             as_number(field.name, getattr(self, field.name), finite=False)
-        _check("bearing_sigma", self.bearing_sigma, 0.0 <= self.bearing_sigma < np.pi, "an angle >= 0")
-        _check("flatness", self.flatness, 0.0 <= self.flatness < np.inf, "a distance >= 0")
-        _check("significance", self.significance, 0.0 < self.significance < 0.5, "a probability in (0, 0.5)")
-        _check("min_points", self.min_points, _is_count(self.min_points, 3), "a whole number of beams >= 3")
-        _check("max_missing", self.max_missing, _is_count(self.max_missing, 0), "a whole number of beams >= 0")
-        _check("max_turning", self.max_turning, 0.0 < self.max_turning < np.pi, "an angle in (0, pi)")
-        _check("max_nonlinearity", self.max_nonlinearity, self.max_nonlinearity > 0.0, "a ratio above 0")
-        _check("max_misfit", self.max_misfit, self.max_misfit > 1.0, "a ratio above 1")
-        _check("range_min", self.range_min, 0.0 <= self.range_min < np.inf, "a finite range >= 0")
-        _check("range_max", self.range_max, self.range_max > self.range_min, "a range above range_min")
-
-
-def _is_count(value: object, smallest: int) -> bool:
-    return isinstance(value, int | np.integer) and int(value) >= smallest
-
-
-def _check(name: str, value: float, valid: bool, expected: str) -> None:
-    if not valid:
-        raise ValueError(f"{name}: expected {expected}, got {value}")
+        are_whole = [isinstance(number, int | np.integer) for number in (self.min_points, self.max_missing)]
+        for name, valid, expected in (
+            ("bearing_sigma", 0.0 <= self.bearing_sigma < np.pi, "an angle >= 0"),
+            ("flatness", 0.0 <= self.flatness < np.inf, "a distance >= 0"),
+            ("significance", 0.0 < self.significance < 0.5, "a probability in (0, 0.5)"),
+            ("min_points", are_whole[0] and self.min_points >= 3, "a whole number of beams >= 3"),
+            (
+                "max_missing",
+                are_whole[1] and self.max_missing >= 0,
+                "a whole number of beams >= 0",
+            ),
+            ("max_turning", 0.0 < self.max_turning < np.pi, "an angle in (0, pi)"),
+            ("max_nonlinearity", self.max_nonlinearity > 0.0, "a ratio above 0"),
+            ("max_misfit", self.max_misfit > 1.0, "a ratio above 1"),
+            ("range_min", 0.0 <= self.range_min < np.inf, "a finite range >= 0"),
+            ("range_max", self.range_max > self.range_min, "a range above range_min"),
+        ):
+            if not valid:
+                raise ValueError(f"{name}: expected {expected}, got {getattr(self, name)}")
 
 
 def extract_lines(
@@ -128,27 +124,16 @@ def _as_lines(rows: FloatArray, support: np.ndarray, counts: np.ndarray) -> list
 
 def _rules(config: LineConfig, stated: float) -> Rules:
     """The configuration as kernels take it, always of the same types: for others they would be compiled anew."""
-    return Rules(
-        float(config.significance),
-        -2.0 * log(config.significance),
-        int(config.min_points),
-        int(config.max_missing),
-        float(config.max_turning),
-        float(config.max_nonlinearity),
-        float(config.max_misfit),
-        float(config.bearing_sigma),
-        float(config.flatness),
-        float(config.range_min),
-        float(config.range_max),
-        float(stated),
-    )
+    own: dict[str, Any] = {field.name: type(field.default)(getattr(config, field.name)) for field in fields(config)}
+    return Rules(gate=-2.0 * log(config.significance), stated=float(stated), **own)
 
 
 def _checked_beams(ranges: ArrayLike, angles: ArrayLike, sigma: ArrayLike) -> FloatArray:
     """Ranges, bearings and standard deviations of ranges in one array of its own, shape (3, B)."""
     distances = as_shape("ranges", ranges, (None,), finite=False)
     bearings = as_shape("angles", angles, distances.shape)
-    if bearings.size and (largest := float(np.abs(bearings).max())) > _LARGEST_BEARING:
+    largest = float(np.abs(bearings).max(initial=0.0))
+    if largest > 4.0 * np.pi:  # two turns: no convention writes a bearing beyond, and any scan in degrees does
         raise ValueError(f"angles: expected bearings in radians, got {largest:.6g}, as if in degrees")
     return np.stack((distances, bearings, _as_sigmas(sigma, distances.size)))
 
@@ -232,7 +217,7 @@ class _Residuals:
         to_sp[:, 0, 0], to_sp[:, 0, 1], to_sp[:, 1, 0] = -middle, 1.0, 1.0
         noise = to_sp @ stated @ np.swapaxes(to_sp, 1, 2)
         covariances = np.zeros((len(rows), 3, 3))
-        covariances[:, :2, :2], covariances[:, 2, 2] = noise, _OPEN * noise[:, 0, 0]
+        covariances[:, :2, :2], covariances[:, 2, 2] = noise, 1e12 * noise[:, 0, 0]  # no height: the tilt is open
         points = np.zeros((len(support), 3))
         points[:, 0], points[:, 2] = along - middle[line], ranges * cosine - rho[line]
         variances = (sigmas * cosine) ** 2 + (config.bearing_sigma * along) ** 2
@@ -245,14 +230,7 @@ def _with_shared_error(
     """Covariances of (alpha, rho) of lines with the noise and the shared error that residuals show, shape (M, 2, 2).
 
     The mechanism is that of planes: a line is a plane whose points have no height. What is stated is a lower bound: the
-    noise by the covariances of the lines, the shared error by `LineConfig.flatness`.
-
-    Args:
-        rows: the lines with the covariances of their noise, shape (M, 12), see `extract`.
-        support: the beams on them, one line after the other, shape (N,).
-        counts: of each line, shape (M,).
-        beams: ranges, angles and standard deviations of the scan, shape (3, B).
-        config: the noise of bearings and the flatness, as stated.
+    noise by the covariances of the lines, see `extract`, the shared error by `LineConfig.flatness`.
     """
     seen = _Residuals.of(rows, support, counts, beams, config)
     frames = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -268,13 +246,11 @@ def _with_shared_error(
 def _add_unevenness(
     covariances: FloatArray, flatness: float, first: FloatArray, last: FloatArray, shown: FloatArray
 ) -> None:
-    """Add what residuals do not show of the unevenness that walls are stated to have, in place.
+    """Add to covariances (M, 2, 2), in place, what residuals do not show of the unevenness that walls are stated to
+    have.
 
-    Args:
-        covariances: of (alpha, rho), shape (M, 2, 2).
-        flatness: rms, m: a wall shifts by it, and turns by sqrt(12) / length of it about the middle of its ends.
-        first, last: where along the lines their first and last beams meet them, shape (M,), m.
-        shown: variances of shift and direction by the shared error that residuals show, shape (M, 2).
+    A wall shifts by the flatness, m, and turns by sqrt(12) / length of it about the middle between first and last,
+    (M,), m; ``shown`` (M, 2) are the variances of shift and direction by the shared error that residuals show.
     """
     stated = np.stack((np.full(len(first), flatness**2), 12.0 * (flatness / np.abs(last - first)) ** 2), axis=-1)
     left = np.maximum(stated - shown, 0.0)

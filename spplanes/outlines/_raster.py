@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from spplanes._check import FloatArray
@@ -13,8 +15,6 @@ _BITS, _OFFSET = 21, 1 << 20
 _MASK = (1 << _BITS) - 1
 #: A region with a larger raster than this, cells, is drawn with larger ones.
 LARGEST_RASTER = 1 << 20
-#: Centres this near a side, cells, lie in the triangles on both sides of it.
-_ROUNDING = 1e-9
 
 
 def projection_axis(nx: float, ny: float, nz: float) -> int:
@@ -43,38 +43,27 @@ def onto_planes(frames: FloatArray, cells: FloatArray) -> FloatArray:
 def draw(points, labels, projections):
     """Rasters of all regions: the cells whose centres lie in a triangle of neighbouring points of one region.
 
-    Args:
-        points: shape (S, B, 3), m.
-        labels: region of every point, shape (S, B), -1 = none.
-        projections: of every region, points to raster coordinates in cells, shape (R, 2, 4); what is too large is
-            scaled down in place.
+    `projections` (R, 2, 4) take points to raster coordinates in cells; what is too large is scaled down in place.
 
     Returns:
-        filled: all rasters behind each other, bool, each with a frame of empty cells around it.
-        first: where each begins, shape (R + 1,).
-        corner: raster coordinates of each one's first cell, shape (R, 2).
-        shape: cells of each along both axes, shape (R, 2); 0 where a region has no point.
+        All rasters behind each other, bool, each with a frame of empty cells around it; where each begins, (R + 1,);
+        raster
+        coordinates of its first cell, (R, 2); its cells along both axes, (R, 2), 0 where a region has no point.
     """
     flat, found = np.empty((*labels.shape, 2)), []
-    in_parts(
-        lambda begin, end: found.append(_project(points, labels, projections, begin, end, flat)),
-        len(labels),
-        labels.size,
-    )
+    project = partial(_project, points, labels, projections, flat)
+    in_parts(lambda begin, end: found.append(project(begin, end)), len(labels), labels.size)
     low, high = np.min([part[0] for part in found], axis=0), np.max([part[1] for part in found], axis=0)
     scale, first, corner, shape = layout(low, high)
     projections *= scale[:, None, None]
     filled = np.zeros(first[-1], dtype=np.bool_)
-    in_parts(
-        lambda begin, end: _fill((filled, first, shape), flat, labels, (scale, corner), begin, end),
-        max(len(labels) - 1, 0),
-        labels.size,
-    )
+    fill = partial(_fill, (filled, first, shape), flat, labels, (scale, corner))
+    in_parts(fill, max(len(labels) - 1, 0), labels.size)
     return filled, first, corner, shape
 
 
 @njit(cache=True)
-def _project(points, labels, projections, begin_row, end_row, flat):
+def _project(points, labels, projections, flat, begin_row, end_row):
     """Raster coordinates of the labelled points, into (S, B, 2); least and largest of every region, (R, 2)."""
     n_cols, n_regions = labels.shape[1], projections.shape[0]
     low, high = np.empty((n_regions, 2)), np.empty((n_regions, 2))
@@ -100,10 +89,8 @@ def _project(points, labels, projections, begin_row, end_row, flat):
 
 @njit(cache=True)
 def _fill(rasters, flat, labels, layout, begin, end):
-    """Fill the triangles between the rows from begin to end and those below them.
-
-    Threads may fill the same cell; as they write the same, it does not matter which is first.
-    """
+    """Fill the triangles between the rows from begin to end and those below them; threads may fill the same cell, and
+    as they write the same, it does not matter which is first."""
     (filled, first, shape), (scale, corner) = rasters, layout
     n_cols = labels.shape[1]
     place, inward = np.empty((2, n_cols, 2)), np.zeros((2, 4, n_cols), dtype=np.int32)
@@ -131,10 +118,8 @@ def _fill(rasters, flat, labels, layout, begin, end):
 
 @inner(cache=True)
 def _cells_of_row(flat, labels, scale, corner, i, place, inward):
-    """Places of the labelled points of a row in their own rasters, whole numbers at the centres of cells, (B, 2).
-
-    And the numbers next to them: from above along both axes, then from below, shape (4, B).
-    """
+    """Places (B, 2) of the labelled points of a row in their own rasters, whole numbers at the centres of cells, and
+    the numbers next to them: from above along both axes, then from below, shape (4, B)."""
     for j in range(labels.shape[1]):
         r = labels[i, j]
         if r >= 0:
@@ -189,10 +174,10 @@ def _triangle(filled, first, width, rows, a, b, c):
     if px == rx:
         return  # no area
     whole, rising, falling = (ry - py) / (rx - px), (qy - py) / (qx - px), (ry - qy) / (rx - qx)
-    for x in range(i0, i1 + 1):  # row by row from the one side to the other
+    for x in range(i0, i1 + 1):  # row by row; centres within rounding of a side lie in the triangles on both sides
         one = py + (x - px) * whole
         other = py + (x - px) * rising if x < qx else (qy + (x - qx) * falling if qx < rx else qy)
-        least, most = int(np.ceil(min(one, other) - _ROUNDING)), int(np.floor(max(one, other) + _ROUNDING))
+        least, most = int(np.ceil(min(one, other) - 1e-9)), int(np.floor(max(one, other) + 1e-9))
         start = first + x * width
         for y in range(start + max(least, j0), start + min(most, j1) + 1):
             filled[y] = True

@@ -8,35 +8,23 @@ from scipy import ndimage
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 
-#: Parts of one region that lie apart are bridged by closing the raster with up to this many cells.
-BRIDGES = (1, 2, 4, 8, 16)
-#: How far a simplified ring may leave the steps of the raster, cells.
-TOLERANCE = 0.75
-
 
 def rings_around(filled: np.ndarray) -> tuple[FloatArray, np.ndarray]:
     """Rings around the filled cells, vertices (V, 2) in cells and the end of every ring (R,); the first is the shell.
 
-    Parts that lie apart are bridged by closing the gaps between them; where that takes too much, the largest stays.
-
-    Args:
-        filled: shape (I, J) bool with an empty frame around it; something is filled. Changed in place.
+    `filled`, (I, J) bool, of which something is, has an empty frame around it; it is changed in place.
     """
     filled = _one_part(filled)
     return _few(*_trace(filled, np.count_nonzero(filled)))
 
 
 def _one_part(filled: np.ndarray) -> np.ndarray:
-    """The raster without pinches and in one part: closed as far as it takes, or else its largest part.
-
-    Args:
-        filled: shape (I, J) bool with an empty frame around it; something is filled. Pinches are filled in place.
-    """
+    """The raster without pinches and in one part: gaps closed as far as it takes, or else its largest part."""
     _fill_pinches(filled)
     parts, count = ndimage.label(filled)  # type: ignore[misc]
     if count == 1:
         return filled
-    for reach in BRIDGES:
+    for reach in (1, 2, 4, 8, 16):
         whole = _closed(filled, reach)
         _fill_pinches(whole)
         if ndimage.label(whole)[1] == 1:  # type: ignore[misc]
@@ -145,7 +133,7 @@ def _corner(i, j, d):
 
 @inlined
 def _simplify(ring, kept):
-    """Mark the vertices of a ring (V, 2) that Douglas and Peucker's algorithm keeps; returns their number."""
+    """Mark the vertices of a ring (V, 2) that Douglas and Peucker's algorithm keeps, to 0.75 cells; how many."""
     n = ring.shape[0]
     far, best = 0, -1.0
     for k in range(n):
@@ -160,7 +148,7 @@ def _simplify(ring, kept):
     while top > 0:
         top -= 1
         first, last = stack[top, 0], stack[top, 1]
-        middle, best = -1, TOLERANCE * TOLERANCE
+        middle, best = -1, 0.75 * 0.75
         for k in range(first + 1, last):
             distance = _from_segment(ring[k], ring[first], ring[last % n])
             if distance > best:

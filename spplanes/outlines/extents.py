@@ -6,6 +6,7 @@ Extents are kept in tiles, so that growing costs what is new.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import Any, TypeVar
 
 import numpy as np
@@ -67,10 +68,8 @@ class Extent:
         """Take a patch in."""
         low, high = np.split(np.asarray(patch.bounds), 2)
         self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
-        lines_only = (
-            not self._tiles and not self._waiting and (self._line is None or self._line.geom_type == "LineString")
-        )
-        if lines_only and patch.geom_type in ("LineString", "Point"):
+        areas = self._tiles or self._waiting or (self._line is not None and self._line.geom_type != "LineString")
+        if not areas and patch.geom_type in ("LineString", "Point"):
             self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
             return
         if self._line is not None:
@@ -139,9 +138,9 @@ class Extent:
         x1, y1 = np.floor((bounds[2:] + _LAP_M) / _TILE_M).tolist()
         if (x1 - x0 + 1.0) * (y1 - y0 + 1.0) > len(self._tiles):
             yield from (key for key in sorted(self._tiles) if x0 <= key[0] <= x1 and y0 <= key[1] <= y1)
-            return
-        for i in range(int(x0), int(x1) + 1):
-            yield from ((i, j) for j in range(int(y0), int(y1) + 1) if (i, j) in self._tiles)
+        else:
+            keys = product(range(int(x0), int(x1) + 1), range(int(y0), int(y1) + 1))
+            yield from (key for key in keys if key in self._tiles)
 
 
 def _within(geometries: Any, x_low: float, y_low: float, x_high: float, y_high: float) -> Any:

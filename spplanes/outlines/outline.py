@@ -17,8 +17,6 @@ from spplanes._threads import in_parts
 from spplanes.outlines._raster import draw, layout, onto_planes
 from spplanes.outlines._tracing import rings_around
 
-#: A plane is not projected along an axis with which its normal has less than this cosine.
-STEEPEST = 0.2
 #: Directions in which the farthest point of a group is a corner of its hull.
 CORNERS = 16
 
@@ -80,15 +78,11 @@ def _groups_of(groups: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.n
 
 @njit(cache=True)
 def _hulls_of_groups(points, order, bounds, region, projections, directions, corners):
-    """Corners of the hulls of groups of points, each wider by half the distance of its points, in place.
+    """Corners (G, CORNERS, 2) of the hulls of groups of points, each wider by half the distance of its points, in
+    place.
 
-    Args:
-        points: shape (N, 3), m.
-        order, bounds: points of group g are order[bounds[g]:bounds[g + 1]].
-        region: of every group, shape (G,).
-        projections: of every region, points to raster coordinates in cells, shape (R, 2, 4).
-        directions: unit vectors in the order of their angles, shape (CORNERS, 2).
-        corners: of every group, shape (G, CORNERS, 2).
+    Points of group g are order[bounds[g]:bounds[g + 1]]; of its region, `region` (G,), the projection (R, 2, 4) takes
+    points to raster coordinates in cells; directions are unit vectors in the order of their angles.
     """
     support = np.empty(CORNERS)
     for g in range(region.shape[0]):
@@ -207,7 +201,7 @@ def in_projection(cells: np.ndarray, axes: np.ndarray, axis: int, cell: float, f
 
     Those drawn along an axis that the plane, better known by now, turned out to be almost parallel to are left out.
     """
-    usable = np.abs(frame[axes, 2]) > STEEPEST
+    usable = np.abs(frame[axes, 2]) > 0.2
     cells, axes = cells[usable], axes[usable]
     other = axes != axis
     if not other.any():

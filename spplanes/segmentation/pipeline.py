@@ -18,9 +18,6 @@ from spplanes.segmentation.config import FEW_ROWS, MapperConfig
 from spplanes.segmentation.refinement.refining import part_at_creases, release_misfits, spread
 from spplanes.segmentation.sheet import Sheet, drop_small, refit
 
-ROUNDS = 2
-"""The search starts again, once, with the points that turned out not to fit."""
-
 
 def segment_sheet(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     """Label the fresh rows of a sheet in place."""
@@ -71,7 +68,7 @@ def _mapped(covariance: FloatArray, matrix: FloatArray) -> FloatArray:
 
 def _segment(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     quads = _filter(sheet, views, config)
-    for repeat in range(ROUNDS):
+    for repeat in range(2):  # again, once, with the points that turned out not to fit
         if repeat:
             release_misfits(sheet, config)
         size = config.largest_cell
@@ -86,11 +83,8 @@ def _segment(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
 
 
 def _filter(sheet: Sheet, views: FloatArray, config: MapperConfig) -> np.ndarray:
-    """The quads (i, j), (i, j+1), (i+1, j+1), (i+1, j) of the fresh rows all edges of which pass the test, (S-1, B-1).
-
-    References:
-        Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV, filter.
-    """
+    """The quads (i, j), (i, j+1), (i+1, j+1), (i+1, j) of the fresh rows all edges of which pass the test, (S-1, B-1):
+    filter of Weingarten, Gruener, Siegwart, "Probabilistic Plane Fitting in 3D", ICRA 2004, section IV."""
     part, literal = sheet.fresh, config.literal_edge_test
     grid = sheet.points[part], sheet.covariance[part], sheet.valid[part]
     tangent, limit = float(np.tan(config.max_incidence_rad)), chdtri(3 if literal else 1, config.edge_significance)
@@ -136,13 +130,8 @@ def _literal_chi2(points, covariance, i, j, k, m):
 def _link_rows(grid, views, rule, linked, first, last):
     """Whether points of the rows from first to last lie on one surface with their neighbours: to the right, below.
 
-    Args:
-        grid: points (S, B, 3), m, their covariances (S, B, 1) or (S, B, 9), m^2, and which are returns, (S, B).
-        views: viewpoint of every row, shape (S, 3), m.
-        rule: tangent of the steepest incidence at which a surface is still expected; largest chi2, of 1 degree of
-            freedom or 3; whether to test the whole displacement, as the paper prints it, and not the jump in depth.
-        linked: receives the answers, two arrays (S, B) of bool.
-        first, last: the rows.
+    `rule`: tangent of the steepest incidence at which a surface is still expected; largest chi2, of 1 degree of freedom
+    or 3; whether to test the whole displacement, as the paper prints it, and not the jump in depth.
     """
     (points, covariance, valid), (tangent, limit, literal) = grid, rule
     n_rows, n_cols = valid.shape

@@ -20,28 +20,15 @@ from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.planes import frames_of
 from spplanes.segmentation.sheet import is_determined, is_plane
 
-#: The search starts again, once, with the points that fit no plane, and with the shared error that planes have shown.
-_ROUNDS = 2
-#: Planes grow by at most so many cells a round; when fewer than this share of the points change theirs, they rest.
-_MOST_STEPS, _AT_REST = 12, 1e-3
-#: A region is superfluous when larger ones beside it explain more than this share of its points.
-_SUPERFLUOUS = 0.7
-
 
 def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: MapperConfig) -> np.ndarray:
-    """The plane of every point of a curve, shape (N,), -1 = none.
+    """The plane of every point of a curve, shape (N,), -1 = none, by their variances (N,), m^2.
 
-    What surfaces wander from planes by is found with them: the regions of a round tell the shared error that the next
-    one goes by.
-
-    Args:
-        curve: the cloud.
-        variances: of its points, shape (N,), m^2.
-        octave_m: least standard deviation of an octave of the shared error, m; see `spplanes.fitting.shared_error`.
-        config: tests; what surfaces may deviate by follows from the shared error.
+    What surfaces wander from planes by is found with them: the search starts again, once, with the points that fit no
+    plane and with the shared error that planes have shown, `octave_m` at least (see `spplanes.fitting.shared_error`).
     """
     state: _Labelling | None = None
-    for _ in range(_ROUNDS):
+    for _ in range(2):
         free = np.ones(len(variances), dtype=bool) if state is None else state.labels < 0
         if not free.any():
             break
@@ -97,15 +84,18 @@ class _Labelling:
         self.rows = np.concatenate((self.rows, rows[kept]))
 
     def spread(self) -> None:
-        """Every point finds its plane, planes are fitted again, and fuse where they are one; until they rest."""
-        for _ in range(_MOST_STEPS):
+        """Every point finds its plane, planes are fitted again, and fuse where they are one; until they rest.
+
+        They grow by a cell a step, and rest when fewer than one in a thousand points change their plane.
+        """
+        for _ in range(12):
             if not len(self.rows):
                 return
             changed = self._assign()
             self._refit()
             if self._fuse_and_dissolve():
                 self._refit()
-            elif changed <= _AT_REST * len(self.points):
+            elif changed <= 1e-3 * len(self.points):
                 break
         self._keep([r for r, row in enumerate(self.rows) if is_plane(row, self.config)])
 
@@ -169,7 +159,7 @@ class _Labelling:
         return dissolved or bool((root != np.arange(len(root))).any())
 
     def _dissolve(self, edges: np.ndarray) -> bool:
-        """Regions most of whose points larger ones beside them explain give them up; whether there were any."""
+        """Regions of whose points larger ones beside them explain 70 % give them up; whether there were any."""
         planes, wander = hesse(self.rows), self._wander()
         sizes = np.bincount(self.labels[self.labels >= 0], minlength=len(self.rows))
         order = np.argsort(self.labels, kind="stable")
@@ -183,26 +173,18 @@ class _Labelling:
             if len(mine) and len(hosts):
                 off = self.points[mine] @ planes[hosts, :3].T - planes[hosts, 3]
                 near = off**2 <= self.config.gate_sigma**2 * (self.variances[mine][:, None] + wander[hosts])
-                gone[r] = near.any(axis=1).mean() > _SUPERFLUOUS
+                gone[r] = near.any(axis=1).mean() > 0.7
         self.labels[np.append(gone, False)[self.labels]] = -1
         return bool(gone.any())
 
 
 @njit(cache=True)
 def _assign_points(cloud, cells, planes, tolerance, gate, labels):
-    """Give every point the plane of its cell's candidates that it fits best, within the gate, in place.
+    """Give every point the plane of its cell's candidates that it fits best, to chi2 of `gate`, in place; how many
+    changed.
 
-    Args:
-        cloud: points (N, 3), m, and their variances (N,), m^2.
-        cells: bounds (C + 1,) of the runs of points that are cells; first and candidates: the planes of cell c are
-            candidates[first[c]:first[c + 1]].
-        planes: (normal, d), shape (R, 4).
-        tolerance: variance that a surface is granted beside the noise of its points, shape (R,), m^2.
-        gate: largest chi2.
-        labels: plane of every point, shape (N,), -1 = none.
-
-    Returns:
-        Number of points that changed.
+    `cells` are the bounds (C + 1,) of the runs of points that are cells, first and candidates: the planes of cell c are
+    candidates[first[c]:first[c + 1]]. `tolerance` (R,), m^2, is granted to surfaces beside the noise of their points.
     """
     (points, variances), (bounds, first, candidates) = cloud, cells
     changed = 0

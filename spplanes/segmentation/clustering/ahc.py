@@ -89,12 +89,11 @@ def _fuse(rows, bias, a, b, work):
 
 @njit(cache=True)
 def cluster(rows, bias, edges, limits, flatness, correlation):
-    """Fuse patches along edges, the pair with the smallest mean distance to its common plane first.
+    """Fuse patches along edges (E, 2), the pair with the smallest mean distance to its common plane first.
 
     Args:
-        rows: moments, shape (N, 11); on return the row of a root holds the sum of its tree.
+        rows: on return the row of a root holds the sum of its tree.
         bias: variance along the normal that a patch shares with its scans, m^2, and mean scan: (N, 2); kept up to date.
-        edges: pairs of neighbouring patches, shape (E, 2).
         limits: largest chi2 at which two patches are one plane: of the step between them (1 dof), of both (3 dof).
         flatness: deviation from a plane that every patch is granted, m.
         correlation: scans over which errors shared with scans change.

@@ -19,17 +19,10 @@ STEP_SHARE = 0.1
 
 
 def cell_moments(points, covariance, free, size, floor_variance):
-    """Moments of the free points of every cell that is filled, weighted along the cell's own normal.
+    """Moments of the free points, (S, B) bool, of every cell that is filled, weighted along the cell's own normal, (R,
+    C, 11).
 
-    Args:
-        points: shape (S, B, 3), m.
-        covariance: shape (S, B, 1) isotropic variances or (S, B, 9), m^2.
-        free: shape (S, B) bool, points to use.
-        size: side of a cell.
-        floor_variance: added to the variance of every point, m^2.
-
-    Returns:
-        Rows, shape (R, C, 11); zeros where too few points are free.
+    Cells are squares of `size` points; `floor_variance`, m^2, is added to the variance of every point.
     """
     n_rows, n_cols = (points.shape[0] + size - 1) // size, (points.shape[1] + size - 1) // size
     rows = np.zeros((n_rows, n_cols, ROW_SIZE))
@@ -117,17 +110,12 @@ def planar_cells(rows, failed, shape, size, quantile, slack):
 
 
 def reject_steps(planar, cells, rows, limit):
-    """Take from the planar cells, in place, those with a step along some row or column of the grid (chi2).
+    """Take from the planar cells, (R, C) bool, in place, those with a step along some row or column of the grid (chi2).
 
     A step of little more than the noise hides in the residuals of a cell's points, most of all when the plane tilts to
     meet both sides. Residuals are explained by place in the grid, linearly, and by the step: unlike coordinates, places
-    have no noise, which along slanted beams goes together with that of the residuals.
-
-    Args:
-        planar: planar cells, shape (R, C) bool.
-        cells: the arguments of `cell_moments`.
-        rows: what it returned.
-        limit: largest chi2 (1 dof) of a step, the largest of all.
+    have no noise, which along slanted beams goes together with that of the residuals. `cells` and `rows` are the
+    arguments of `cell_moments` and what it returned.
     """
     in_parts(partial(_reject_in, planar, cells, rows, limit), len(planar), cells[3] ** 2 * int(planar.sum()))
 
@@ -172,10 +160,8 @@ def _reject_in(planar, cells, rows, limit, first, last):
 def _step_chi2(strips, total, tolerance):
     """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step.
 
-    Args:
-        strips: sums of w, w u, w v, w r of every strip, shape (STRIPS, 4).
-        total: sums of w u u, w u v, w v v, w r u, w r v of all.
-        tolerance: variance that a step may have anyway, m^2.
+    Of `strips` sums of w, w u, w v, w r each, (STRIPS, 4), of all `total` w u u, w u v, w v v, w r u, w r v; a step may
+    have the variance `tolerance`, m^2, anyway.
     """
     w = u = v = r = 0.0
     for k in range(strips.shape[0]):
@@ -217,16 +203,10 @@ def shared_variances(rows, shared, free, planar, size, start):
 
 @njit(cache=True)
 def cell_edges(node, labels, start, size):
-    """Pairs of neighbouring nodes: cells beside cells, and cells beside regions labelled already.
+    """Pairs (E, 2) of neighbouring nodes: cells beside cells, and cells beside regions labelled already.
 
-    Args:
-        node: node number of every planar cell, shape (R, C), -1 = none; cells come after the regions.
-        labels: region of every point, shape (S, B), -1 = none; also the node number of the region.
-        start: row of the labels at which the cells begin.
-        size: side of a cell.
-
-    Returns:
-        shape (E, 2), int64.
+    Planar cells have the numbers `node`, (R, C), -1 = none, after those of regions; they begin at row `start` of the
+    labels.
     """
     n_rows, n_cols = node.shape
     edges = np.empty((n_rows * n_cols * (2 + 4 * size), 2), dtype=np.int64)
@@ -235,12 +215,10 @@ def cell_edges(node, labels, start, size):
         for cj in range(n_cols):
             if node[ci, cj] < 0:
                 continue
-            if cj + 1 < n_cols and node[ci, cj + 1] >= 0:
-                edges[count, 0], edges[count, 1] = node[ci, cj], node[ci, cj + 1]
-                count += 1
-            if ci + 1 < n_rows and node[ci + 1, cj] >= 0:
-                edges[count, 0], edges[count, 1] = node[ci, cj], node[ci + 1, cj]
-                count += 1
+            for di, dj in ((0, 1), (1, 0)):
+                if ci + di < n_rows and cj + dj < n_cols and node[ci + di, cj + dj] >= 0:
+                    edges[count, 0], edges[count, 1] = node[ci, cj], node[ci + di, cj + dj]
+                    count += 1
             count = _region_edges(edges, count, node[ci, cj], labels, start + ci * size, cj * size, size)
     return edges[:count]
 

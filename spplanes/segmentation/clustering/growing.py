@@ -19,9 +19,6 @@ from spplanes.fitting._moment_patches import (
 )
 from spplanes.moments import merge_rows
 
-#: Threads that fit regions at most: each of them walks over all labels.
-MOST_SHARES = 4
-
 
 @njit(cache=True)
 def hesse(rows):
@@ -35,11 +32,9 @@ def hesse(rows):
 
 
 def fit_regions(points, covariance, labels, rows, prior, floor_variance):
-    """Moments of the labelled points, added to `prior` (R, 11), weighted along the normal of `rows` (R, 11).
-
-    Sums are taken about the centres of `rows`, near enough to the points to lose nothing.
-    """
-    fresh, n_shares = prior.copy(), min(threads_for(labels.size), MOST_SHARES)
+    """Moments of the labelled points, added to `prior` (R, 11), weighted along the normal of `rows` (R, 11): sums about
+    the centres of these, near enough to the points to lose nothing."""
+    fresh, n_shares = prior.copy(), min(threads_for(labels.size), 4)  # each thread walks over all labels
     grid, regions, shares = (points, covariance, labels), (rows, hesse(rows), prior), _share_out(rows, n_shares)
     in_parts(partial(_fit_shares, grid, regions, floor_variance, shares, fresh), n_shares, labels.size, singly=True)
     return fresh

@@ -20,12 +20,6 @@ from spplanes.segmentation.sheet import Sheet, append, fuse, is_determined
 
 CELL_SLACK = 1.15
 """Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 7 %."""
-STEP_SIGNIFICANCE = 5e-5
-"""Share of the true fusions that the test for a step between two parallel planes may refuse."""
-FUSE_SIGNIFICANCE = 0.0125
-"""Share of the true fusions that the test of offset and tilt may refuse: patches meet several times, and what is
-refused once is fused by way of others. Where scans share errors, both tests go by `MapperConfig.significance`: the size
-of such errors is hardly ever known to more."""
 HIDDEN = 3.0
 """Widest occluder behind which a plane is taken to continue, in widths (points) of the smaller of its two parts."""
 RECENT = 256
@@ -66,10 +60,15 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
 def cluster_patches(
     rows: FloatArray, bias: FloatArray, edges: np.ndarray, config: MapperConfig, flatness_m: float | None = None
 ) -> np.ndarray:
-    """Root of every patch; rows and bias are those of the trees afterwards. See `cluster`."""
+    """Root of every patch; rows and bias are those of the trees afterwards. See `cluster`.
+
+    The test for a step between two parallel planes refuses 5e-5 of the true fusions, that of offset and tilt 0.0125:
+    patches meet several times, and what is refused once is fused by way of others. Where scans share errors, both go by
+    `MapperConfig.significance`: the size of such errors is hardly ever known to more.
+    """
     flatness = config.flatness_m if flatness_m is None else flatness_m
     known = not bias[:, 0].any()
-    limits = chdtri(np.array([1, 3]), (STEP_SIGNIFICANCE, FUSE_SIGNIFICANCE) if known else config.significance)
+    limits = chdtri(np.array([1, 3]), (5e-5, 0.0125) if known else config.significance)
     return cluster(rows, bias, edges, limits, flatness, max(config.pose_correlation_scans, 1.0))
 
 
@@ -92,7 +91,7 @@ def border_pairs(grid, views, regions, gap):
     else would not tell what is behind it. A gap of 0 asks for regions that touch. Points on the plane or behind it, a
     seam or a doorway, show that the surface ends. Some pairs come several times, and in no particular order.
 
-    For the grid see `Sheet.grid`; of the regions, planes (normal, d), numbers of points and tolerances, m^2.
+    `regions` are planes, numbers of points and tolerances, m^2.
     """
     found: list[np.ndarray] = []
     pairs_of_rows = partial(_pairs_of_rows, grid, views, regions, gap)

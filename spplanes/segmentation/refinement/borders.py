@@ -7,32 +7,23 @@ import numpy as np
 from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._moment_patches import distance_of, residual_chi2, variance_from
 
-#: Chi2 by which another region must explain the points of a block better before they change sides.
-BLOCK_GAIN = 4.0
-#: Chi2 (1 dof) of the mean distance of a block's points from their region's plane, below which they stay.
-BLOCK_MISFIT = 9.0
-#: Regions looked at around one block.
-MANY = 8
-
 
 @njit(cache=True)
 def choose_blocks(grid, planes, gate, floor_variance, size):
-    """Move the points that a region has in a square block to the neighbouring region that explains them better.
+    """Move the points that a region has in a square block to the neighbouring region that explains them better; how
+    many.
 
-    One point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place.
-    For the grid see `Sheet.grid`.
-
-    Returns:
-        Number of points moved.
+    One point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place. They
+    stay below a chi2 of 9 of their mean distance, and where no other region explains them better by a chi2 of 4.
     """
     _, _, _, labels, start = grid
-    found, sums, moved = np.empty(MANY, dtype=np.int64), np.empty(MANY), 0
+    found, sums, moved = np.empty(8, dtype=np.int64), np.empty(8), 0  # so many regions around a block are looked at
     for i0 in range(start, labels.shape[0], size):
         for j0 in range(0, labels.shape[1], size):
             block = i0, j0, min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
             n_found = _regions_around(labels, block, found)
             for k in range(n_found if n_found > 1 else 0):
-                if not _misfit(grid, block, found[k], planes, floor_variance) < BLOCK_MISFIT:
+                if not _misfit(grid, block, found[k], planes, floor_variance) < 9.0:
                     moved += _move_block(grid, block, found[:n_found], k, planes, gate, floor_variance, sums)
     return moved
 
@@ -51,7 +42,7 @@ def _move_block(grid, block, found, k, planes, gate, floor_variance, sums):
                     cost = residual_chi2(points, covariance, i, j, planes, found[m], floor_variance)
                     sums[m] += min(cost, 2.0 * gate)
     best = np.argmin(sums[: found.shape[0]])
-    if not sums[best] < sums[k] - BLOCK_GAIN:
+    if not sums[best] < sums[k] - 4.0:
         return 0
     for i in range(i0, i1):
         for j in range(j0, j1):

@@ -19,13 +19,8 @@ def unlabel_creases(grid, planes, max_angle, certainty):
     """Unlabel, in place, the points whose local normal is turned from that of their region.
 
     The local normal is that of the differences between means of six points, right minus left and below minus above, in
-    a window of five by five; it is only judged where all of them are returns.
-
-    Args:
-        grid: see `Sheet.grid`.
-        planes: (normal, d) of the regions, shape (R, 4).
-        max_angle: turn a plane's surface may have anyway, rad.
-        certainty: standard deviations of the local normal by which the turn must exceed that.
+    a window of five by five; it is only judged where all of them are returns. It must exceed `max_angle`, rad, which a
+    plane's surface may have anyway, by `certainty` of its standard deviations.
     """
     _, _, _, labels, start = grid
     top = max(start, 2)
@@ -81,19 +76,12 @@ def _differences(points, valid):
 
 
 def unlabel_seams(grid, views, planes, tolerance, flatness, reach, limit):
-    """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2).
+    """Unlabel, in place, the points around which a region's points lie behind its plane on average (chi2, 1 dof).
 
-    A seam between two cushions is a groove of millimetres, less than the noise of a point but not than that of the
-    mean in a window. Where it parts a region, there are two; where it does not, the region grows over it again. Where
-    surfaces are granted more than the noise, nothing hides in it, and what shows are the surfaces' own waves.
-
-    Args:
-        grid, planes: see `unlabel_creases`.
-        views: viewpoint of every row, shape (S, 3), m.
-        tolerance: variance that the mean of a window may have beside its noise, of every region, shape (R,), m^2.
-        flatness: deviation from a plane that surfaces are granted, m.
-        reach: points that the window reaches to each side.
-        limit: largest chi2 (1 dof) of the mean.
+    A seam between two cushions is a groove of millimetres, less than the noise of a point but not than that of the mean
+    in a window, which reaches `reach` points to each side and may have the variance `tolerance` (R,), m^2, beside its
+    noise. Where it parts a region, there are two; where it does not, the region grows over it again. Where surfaces are
+    granted more than the noise (`flatness`, m), nothing hides in it, and what shows are the surfaces' own waves.
     """
     _, _, _, labels, start = grid
     weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
@@ -125,10 +113,8 @@ def _weigh_rows(grid, planes, reach, sums, first, last):
 
 @njit(cache=True)
 def _judge_columns(grid, views, planes, rule, first, last, columns):
-    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane.
-
-    `columns` are their labels and the sums along the rows, one column after the other.
-    """
+    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane;
+    `columns` are their labels and the sums along the rows, one column after the other."""
     (_, covariance, _, labels, start), (own_labels, weight, moment) = grid, columns
     tolerance, flatness, reach, limit = rule
     own_weight, own_moment = np.zeros(weight.shape), np.zeros(moment.shape)
@@ -174,9 +160,7 @@ def split_regions(labels, start, n_regions):
     """Give every connected part of a region, in place, a number of its own: the first n_regions are kept for those.
 
     The part of a region that the rows before `start` hold keeps its number, all other parts but the first get new ones.
-
-    Returns:
-        The region every new number was part of, shape (K,).
+    The region that every new number was part of is returned, shape (K,).
     """
     n_cols = labels.shape[1]
     done = np.zeros(labels.shape, dtype=np.bool_)

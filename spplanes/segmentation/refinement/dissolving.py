@@ -9,26 +9,14 @@ from spplanes.fitting._moment_patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
 BLOCK = 4
-#: A plane of its own must lower the mean chi2 of its points by this much ...
-MEAN_GAIN = 0.15
-#: ... and the sum by this much, what three parameters gain by chance at 0.001.
-SUM_GAIN = 16.3
 
 
 @njit(cache=True)
 def dissolve(grid, sizes, order, pairs, planes, floor_variance):
-    """Give the points of superfluous regions to their neighbours, in place.
+    """Give the points of superfluous regions to their neighbours, in place; how many regions are dissolved.
 
-    Args:
-        grid: see `Sheet.grid`. Regions with points before its first row to work on stay.
-        sizes: number of points of every region, shape (R,); 0 for those that are dissolved.
-        order: the regions, smallest first, shape (R,).
-        pairs: regions near each other, shape (E, 2), each pair once.
-        planes: (normal, d) of the regions, shape (R, 4).
-        floor_variance: added to the variance of every point, m^2.
-
-    Returns:
-        Number of regions dissolved.
+    `sizes` (R,) become 0 for those, `order` (R,) has the smallest first, `pairs` (E, 2) are near each other, each once.
+    Regions with points before the first row to work on stay; `floor_variance`, m^2, is added to that of every point.
     """
     _, _, _, labels, start = grid
     members, first = _members(labels, start, sizes.shape[0])
@@ -111,12 +99,13 @@ def _members(labels, start, n_regions):
 
 @inlined
 def _is_superfluous(grid, mine, region, candidates, planes, floor_variance, hosts):
-    """Whether the best neighbour of every block, written to `hosts`, explains the points nearly as well as the region.
+    """Whether the best candidate for every block, written to `hosts`, explains the points nearly as well as the region.
 
-    Neighbours are the candidates; points are explained in blocks of `BLOCK` * `BLOCK` members, one after another.
+    A plane of its own must lower the mean chi2 of its points by 0.15, and the sum by what three parameters gain by
+    chance at 0.001. Points are explained in blocks of `BLOCK` * `BLOCK` members, one after another.
     """
     points, covariance, n_cols = grid[0], grid[1], grid[3].shape[1]
-    limit = MEAN_GAIN * mine.shape[0] + SUM_GAIN
+    limit = 0.15 * mine.shape[0] + 16.3
     for k in range(mine.shape[0]):
         i, j = mine[k] // n_cols, mine[k] % n_cols
         limit += residual_chi2(points, covariance, i, j, planes, region, floor_variance)

@@ -16,24 +16,6 @@ from spplanes.segmentation.sheet import Sheet, append, drop_small, refit
 
 BORDER_GAP = 12
 """Most points along a row or column that may be missing where a plane is taken to continue: a beam, a pole."""
-MISFIT_CELL = 8
-"""Side of the cells in which the points of a region are searched for a common offset from its plane."""
-MISFIT_SIGNIFICANCE = 1e-4
-"""Share of such cells that may be found by chance; there are many of them."""
-STEADY_SCANS = 24
-"""Scans over which the errors that they share must hang together for them to move a cell as they move its region."""
-CREASE_CERTAINTY = 3.0
-"""Standard deviations of a local normal by which a crease must exceed the angle allowed."""
-SEAM_REACH = 3
-"""Reach, points to each side, of the windows in which a seam is searched for."""
-SEAM_SIGNIFICANCE = 1e-3
-"""Share of such windows that may be found by chance."""
-NEAR = 40
-"""Points along a row or column within which a larger plane may explain a small region as well."""
-BORDER_BLOCKS = (8, 8, 4)
-"""Sides of the blocks of points that change sides together, sweep after sweep."""
-BORDER_SWEEPS = 2
-"""Sweeps over the points at borders; more change next to nothing."""
 
 
 def spread(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
@@ -47,9 +29,9 @@ def spread(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
 
 
 def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
-    """Give the points of small regions that their neighbours explain as well to those; returns how many did."""
+    """Give the points of small regions that larger ones within 40 points explain as well to those; how many did."""
     planes = growing.hesse(sheet.rows)
-    edges = distinct_pairs(dissolving.near_pairs(sheet.labels, NEAR), len(sheet.rows))
+    edges = distinct_pairs(dissolving.near_pairs(sheet.labels, 40), len(sheet.rows))
     sizes = np.bincount(sheet.labels[sheet.labels >= 0], minlength=len(sheet.rows))
     smallest_first = np.argsort(sizes, kind="stable")
     return dissolving.dissolve(sheet.grid, sizes, smallest_first, edges, planes, config.flatness_m**2)
@@ -62,12 +44,12 @@ def _grow(sheet: Sheet, config: MapperConfig) -> None:
 def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
     """Points at the borders of regions go where they fit best: block by block, then one by one."""
     floor, gate = config.flatness_m**2, config.gate_sigma**2
-    for size in BORDER_BLOCKS:
+    for size in (8, 8, 4):
         moved = borders.choose_blocks(sheet.grid, growing.hesse(sheet.rows), gate, floor, size)
         if moved:
             refit(sheet, config)
     planes = growing.hesse(sheet.rows)
-    for _ in range(BORDER_SWEEPS):
+    for _ in range(2):  # more change next to nothing
         borders.choose_points(sheet.grid, planes, gate, floor, config.border_smoothness)
     refit(sheet, config)
 
@@ -75,9 +57,9 @@ def settle_borders(sheet: Sheet, config: MapperConfig) -> None:
 def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
     """Cut regions where the surface bends, number their parts, rejoin those that only an occluder parts, heal."""
     planes = growing.hesse(sheet.rows)
-    creases.unlabel_creases(sheet.grid, planes, config.max_crease_rad, CREASE_CERTAINTY)
-    tolerance, limit = STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0], float(chdtri(1, SEAM_SIGNIFICANCE))
-    creases.unlabel_seams(sheet.grid, views, planes, tolerance, float(config.flatness_m), SEAM_REACH, limit)
+    creases.unlabel_creases(sheet.grid, planes, config.max_crease_rad, 3.0)
+    tolerance = STEP_SHARE * config.flatness_m**2 + sheet.bias[:, 0]
+    creases.unlabel_seams(sheet.grid, views, planes, tolerance, float(config.flatness_m), 3, float(chdtri(1, 1e-3)))
     origin = creases.split_regions(sheet.labels, sheet.start, len(sheet.rows))
     append(sheet, sheet.rows[origin], sheet.bias[origin])
     refit(sheet, config)
@@ -90,18 +72,19 @@ def part_at_creases(sheet: Sheet, views: FloatArray, config: MapperConfig) -> No
 def release_misfits(sheet: Sheet, config: MapperConfig) -> None:
     """Take the points from their region where a whole cell of them lies off its plane: a board on a wall.
 
-    What the points of a region share with their scans may move a cell of it too, unless it moves the others alike: such
-    errors widen all tests by which regions fuse, but they cancel in the step between surfaces seen in the same scans.
+    What the points of a region share with their scans may move a cell of it too, unless it hangs together over 24 scans
+    and moves the others alike: such errors widen all tests by which regions fuse, but they cancel in the step between
+    surfaces seen in the same scans. There are many cells: 1e-4 of them may be found by chance.
     """
-    part, steady = sheet.fresh, config.pose_correlation_scans >= STEADY_SCANS
+    part, steady = sheet.fresh, config.pose_correlation_scans >= 24
     growing.release(
         sheet.points[part],
         sheet.covariance[part],
         sheet.labels[part],
         growing.hesse(sheet.rows),
         config.flatness_m**2 + (0.0 if steady else 1.0) * sheet.bias[:, 0],
-        MISFIT_CELL,
-        chdtri(1, MISFIT_SIGNIFICANCE),
+        8,
+        chdtri(1, 1e-4),
     )
     if len(sheet.rows):
         refit(sheet, config)
