@@ -576,8 +576,8 @@ MUTATIONS = (
     ),
     Mutation(
         "points weigh by their own range",
-        "spplanes/segmentation/cloud.py",
-        "        ranges = ranges * np.clip(share, 1.0 / _FARTHER, _FARTHER)\n",
+        "spplanes/segmentation/cloud_search.py",
+        "        ranges = ranges * np.clip(share, 0.5, 2.0)\n",
         "",
         "tests/spplanes/segmentation/test_cloud.py -k as_sure_as_they_say",
     ),

@@ -14,7 +14,7 @@ from spplanes.outlines import outline
 from spplanes.outlines._raster import cells_of, distinct, projection_axis
 from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.sheet import is_determined
+from spplanes.segmentation.sheet import is_determined, renumbered
 
 
 class RegionTable:
@@ -117,12 +117,8 @@ class RegionTable:
         """Plane of every settled point, shape (S, B), int32."""
         if not self.kept_labels:
             return np.full((0, n_beams), -1, dtype=np.int32)
-        raw = np.concatenate(self.kept_labels)
-        kept = self.kept()
-        number = np.full(self.n_regions + 1, -1, dtype=np.int32)
-        number[kept] = np.arange(len(kept))
-        resolved = np.append(number[self.roots(np.arange(self.n_regions))], np.int32(-1))
-        return resolved[raw]
+        of_region = renumbered(self.roots(np.arange(self.n_regions)), self.kept(), self.n_regions)
+        return np.append(of_region, -1).astype(np.int32)[np.concatenate(self.kept_labels)]
 
     def planes(self) -> list[Plane]:
         """The planes to report."""

@@ -108,6 +108,11 @@ def number_by_first_point(labels: np.ndarray, n_regions: int) -> tuple[np.ndarra
     np.minimum.at(first, flat[used], used)
     order = np.argsort(first, kind="stable")
     order = order[first[order] < flat.size]
+    return renumbered(labels, order, n_regions), order
+
+
+def renumbered(labels: np.ndarray, kept: np.ndarray | list[int], n_regions: int) -> np.ndarray:
+    """Labels as places in `kept`, regions by number; -1 for those that are not kept."""
     number = np.full(n_regions + 1, -1, dtype=np.int64)
-    number[order] = np.arange(len(order))
-    return number[labels], order
+    number[kept] = np.arange(len(kept))
+    return number[labels]

@@ -18,7 +18,7 @@ from spplanes.segmentation.clustering.growing import fit_regions, hesse
 from spplanes.segmentation.clustering.joining import cluster_patches
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.planes import frames_of
-from spplanes.segmentation.sheet import is_determined, is_plane
+from spplanes.segmentation.sheet import is_determined, is_plane, renumbered
 
 
 def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: MapperConfig) -> np.ndarray:
@@ -141,9 +141,7 @@ class _Labelling:
 
     def _keep(self, kept: np.ndarray | list[int]) -> None:
         """Keep some regions, in the order given; the points of others are free."""
-        number = np.full(len(self.rows) + 1, -1)
-        number[kept] = np.arange(len(kept))
-        self.labels, self.rows = number[self.labels], self.rows[kept]
+        self.labels, self.rows = renumbered(self.labels, kept, len(self.rows)), self.rows[kept]
 
     def _fuse_and_dissolve(self) -> bool:
         """Regions that meet and are one plane become one, superfluous ones none; whether there were any."""

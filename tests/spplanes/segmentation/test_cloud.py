@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from spplanes import Plane, segment_cloud
 from spplanes.clouds.scatter import scatter_along_beams
-from spplanes.segmentation.cloud import _Job
+from spplanes.segmentation.cloud_search import CloudSearch
 from tests.spplanes.scenes import spun, to_walls
 
 try:
@@ -183,7 +183,7 @@ def test_a_grid_that_is_mostly_holes_has_its_planes_all_the_same(missing):
 
 def test_a_grid_with_few_holes_is_searched_as_a_grid(room, monkeypatch):
     holes = np.where(np.random.default_rng(5).random((*room.shape[:2], 1)) < 0.15, np.nan, room)
-    monkeypatch.setattr(_Job, "of_points", None)
+    monkeypatch.setattr(CloudSearch, "of_points", None)
     for grid in (room, holes, room[:1]):
         assert segment_cloud(grid, sigma=SIGMA_M).labels.shape == grid.shape[:2]
 
