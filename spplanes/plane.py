@@ -26,9 +26,6 @@ from spplanes.spmodel import Location, chi2_of
 if TYPE_CHECKING:
     from shapely import Polygon
 
-#: normal and d are written for readers of the file; the frame is what counts, and they must agree with it to this.
-_AGREEMENT = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -69,9 +66,8 @@ class Plane:
     ) -> Self:
         """A plane from values that are known to be good, without checking them again."""
         plane = object.__new__(cls)
-        plane.__setstate__(
-            {"frame": frame, "covariance": covariance, "n_points": n_points, "outline": outline, "chi2": chi2}
-        )
+        values = {"frame": frame, "covariance": covariance, "n_points": n_points, "outline": outline, "chi2": chi2}
+        plane.__setstate__(values)
         return plane
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -233,7 +229,15 @@ class Plane:
         Raises:
             ValueError: a key is missing or holds something else, or normal and d contradict the frame.
         """
-        return cls(**_arguments_from(data))
+        if not isinstance(data, dict):
+            raise ValueError(f"data: expected a dict, got {type(data).__name__}")
+        missing = [key for key in ("normal", "d", "frame", "covariance", "n_points") if key not in data]
+        if missing:
+            raise ValueError(f"data: expected the key {missing[0]!r}, got {sorted(map(str, data))}")
+        frame = as_transform("frame", data["frame"])
+        _check_agreement(frame, data)
+        covariance = as_shape("covariance", data["covariance"], (3, 3))
+        return cls(frame, covariance, data["n_points"], _polygon(data.get("outline")), data.get("chi2", 0.0))
 
     def _moment_row(self, name: str) -> FloatArray:
         """Moment row of in-plane points with this plane's information, and its chi2 along the normal."""
@@ -265,30 +269,13 @@ def _points(value: ArrayLike) -> FloatArray:
     return points
 
 
-def _arguments_from(data: dict[str, Any]) -> dict[str, Any]:
-    """Checked constructor arguments from such a dict; chi2 and outline may be missing."""
-    if not isinstance(data, dict):
-        raise ValueError(f"data: expected a dict, got {type(data).__name__}")
-    missing = [key for key in ("normal", "d", "frame", "covariance", "n_points") if key not in data]
-    if missing:
-        raise ValueError(f"data: expected the key {missing[0]!r}, got {sorted(map(str, data))}")
-    frame = as_transform("frame", data["frame"])
-    _check_agreement(frame, data)
-    return {
-        "frame": frame,
-        "covariance": as_shape("covariance", data["covariance"], (3, 3)),
-        "n_points": data["n_points"],
-        "chi2": data.get("chi2", 0.0),
-        "outline": _polygon(data.get("outline")),
-    }
-
-
 def _check_agreement(frame: np.ndarray, data: dict[str, Any]) -> None:
+    """Normal and d are written for readers of the file; the frame is what counts, and they must agree with it."""
     normal, d = as_shape("normal", data["normal"], (3,)), as_number("d", data["d"])
     distance = float(frame[:3, 2] @ frame[:3, 3])
-    if np.abs(normal - frame[:3, 2]).max() > _AGREEMENT:
+    if np.abs(normal - frame[:3, 2]).max() > 1e-6:
         raise ValueError(f"normal: expected the frame's z axis {frame[:3, 2].tolist()}, got {normal.tolist()}")
-    if abs(d - distance) > _AGREEMENT * max(1.0, float(np.abs(frame[:3, 3]).max())):
+    if abs(d - distance) > 1e-6 * max(1.0, float(np.abs(frame[:3, 3]).max())):
         raise ValueError(f"d: expected the frame's distance {distance}, got {d}")
 
 

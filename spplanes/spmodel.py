@@ -27,10 +27,7 @@ from spplanes._check import (
 
 #: The differential, in order; a binding is a selection of these.
 DIFFERENTIAL = ("x", "y", "z", "phi", "theta", "psi")
-POINT = (0, 1, 2)
 PLANE = (2, 4, 5)
-LINE_2D = (1, 3)
-ROBOT_2D = (0, 1, 3)
 POSE = (0, 1, 2, 3, 4, 5)
 #: `inverse_transform` is asked so often that making one anew counts.
 _IDENTITY = np.eye(4)
@@ -125,7 +122,7 @@ class Location:
         """A 3D point: p = (x, y, z)."""
         transform = np.eye(4)
         transform[:3, 3] = as_shape("position", position, (3,))
-        return cls(transform, as_float_array("covariance", covariance), POINT)
+        return cls(transform, as_float_array("covariance", covariance), (0, 1, 2))
 
     @classmethod
     def plane(cls, frame: ArrayLike, covariance: ArrayLike) -> Location:
@@ -135,12 +132,12 @@ class Location:
     @classmethod
     def line_2d(cls, x: float, y: float, phi: float, covariance: ArrayLike) -> Location:
         """An infinite line on the floor through (x, y) in direction phi, its own x axis: p = (y, phi)."""
-        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), LINE_2D)
+        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), (1, 3))
 
     @classmethod
     def robot_2d(cls, x: float, y: float, phi: float, covariance: ArrayLike) -> Location:
         """A robot on the floor: p = (x, y, phi)."""
-        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), ROBOT_2D)
+        return cls(_on_floor(x, y, phi), as_float_array("covariance", covariance), (0, 1, 3))
 
     @classmethod
     def pose(cls, transform: ArrayLike, covariance: ArrayLike) -> Location:

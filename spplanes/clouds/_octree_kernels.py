@@ -14,12 +14,6 @@ LEVELS = 20
 LOCAL = 48
 
 
-@inlined
-def octaves(n):
-    """Octaves of wavelengths between the extent of n points and of those in which noise is looked for."""
-    return max(0.5 * np.log2(n / LOCAL), 0.0)
-
-
 @inner(cache=True)
 def run_moments(points, variances, first, last, weighted, row):
     """Moments of the points from first to last, (1, N, 3), by their variances (1, N, 1) where they are weighted."""
@@ -116,7 +110,8 @@ def is_planar(points, keys, weights, octave, run, row, limits):
     dof = row[0] - 3.0
     spread = 2.0 / (9.0 * dof)
     least, middle, _ = eigenvalues(row)
-    slack = limits[1] * (1.0 + octave * row[1] / row[0] * octaves(row[0]))
+    octaves = max(0.5 * np.log2(row[0] / LOCAL), 0.0)  # between the extent of the cell and that in which noise is found
+    slack = limits[1] * (1.0 + octave * row[1] / row[0] * octaves)
     if least > slack * dof * (1.0 - spread + limits[0] * np.sqrt(spread)) ** 3 or middle - row[0] < limits[3]:
         return False
     nx, ny, nz = normal_of(row, least)

@@ -72,14 +72,11 @@ class Curve:
         return cls(sorted_points[first], sorted_keys[first], number)
 
     def noise_law(self, ranges: FloatArray) -> NoiseLaw | None:
-        """Variance of points about planes through their neighbours, by range; None where too few look flat.
+        """Variance of points about planes through their neighbours, by range (N,), m; None where too few look flat.
 
         It is the median over flat cells at about the same range, and never falls with it: noise of range sensors grows.
         Cells are taken larger, four times as many points, until enough at that range look flat: where points lie closer
         than they err, small cells are balls.
-
-        Args:
-            ranges: of the points from where they were seen, shape (N,), m.
         """
         cells = self._flat_cells(ranges)
         if not len(cells):

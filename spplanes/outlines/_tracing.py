@@ -122,13 +122,7 @@ def _trace(filled, n_cells):
 @inlined
 def _corner(i, j, d):
     """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
-    if d == 0:
-        return i + 1.0, j + 1.0
-    if d == 1:
-        return i + 0.0, j + 1.0
-    if d == 2:
-        return i + 0.0, j + 0.0
-    return i + 1.0, j + 0.0
+    return float(i + (d == 0 or d == 3)), float(j + (d < 2))
 
 
 @inlined

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from spplanes._check import FloatArray, as_float_array, as_shape, check_instance
 from spplanes.fitting.rounding import coordinate_steps
 from spplanes.plane import Plane
-from spplanes.segmentation.cloud_search import CloudSearch, Found, mean_of
+from spplanes.segmentation.cloud_search import CloudSearch, Found
 from spplanes.segmentation.config import MapperConfig, ValidationConfig
+from spplanes.segmentation.planes import means_of
 from spplanes.segmentation.validation.one_plane import could_be_seen
 
 _DEFAULT = MapperConfig()
@@ -153,7 +154,7 @@ def _told(job: CloudSearch, found: Found) -> CloudPlanes:
     source = "as given, and no less than" if job.sigma is not None else "measured:"
     source += f" points scatter by {1e3 * sigma:.2g} mm about their planes, and neighbours share an error of "
     noise = CloudNoise(sigma, octave, source + f"{1e3 * octave:.2g} mm an octave")
-    eyes = mean_of(job.eyes[job.seen], found.labels, len(planes))
+    eyes = means_of(job.eyes[job.seen], found.labels, len(planes))
     warnings = _warnings(job, coverage, sigma, placed=bool(found.by_eye.any()))
     return CloudPlanes(labels, planes, noise, coverage, _flags(job, planes, eyes, found.by_eye), warnings)
 

@@ -16,7 +16,15 @@ from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
 from spplanes.segmentation.clustering.growing import hesse
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, moments_of, or_rectangles, outlines_in
+from spplanes.segmentation.planes import (
+    FittedPlanes,
+    cells_of,
+    fit_labelled,
+    means_of,
+    moments_of,
+    or_rectangles,
+    outlines_in,
+)
 from spplanes.segmentation.scans import label_scans
 from spplanes.segmentation.sheet import renumbered
 from spplanes.segmentation.unordered import label_curve
@@ -116,7 +124,7 @@ class CloudSearch:
             spread = np.full((1, len(labels)), self.sigma**2)
         cloud = curve.points[None], spread[..., None]
         n_planes = int(labels.max(initial=-1)) + 1
-        sides, by_eye = mean_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
+        sides, by_eye = means_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
         if normals is not None:
             ahead, agreed = _ahead_of(curve.points, normals[self.seen][first], labels, n_planes)
             sides, by_eye = np.where(agreed[:, None], ahead, sides), placed | ~agreed
@@ -159,9 +167,7 @@ class CloudSearch:
         if shown is None and self.sigma is None:
             expected = "a standard deviation, for the cloud shows no flat places to measure it at"
             raise ValueError(f"sigma: expected {expected}")
-        least = (
-            1e-4 if self.sigma is None else as_positive("sigma", self.sigma)
-        )  # of what was made
+        least = 1e-4 if self.sigma is None else as_positive("sigma", self.sigma)  # of what was made
         law = shown or NoiseLaw(np.zeros(1), np.zeros(1))
         law = law._replace(variances=np.maximum(law.variances, least**2))
         return law, law.at(curve.smoothed(ranges))
@@ -206,14 +212,6 @@ def _largest_first(labels: np.ndarray, counted: np.ndarray | None = None, fewest
     return renumbered(labels, order[counts[order] >= fewest], len(counts))
 
 
-def mean_of(values: FloatArray, labels: np.ndarray, n_planes: int) -> FloatArray:
-    """Mean of values (N, 3) of the points of every plane, shape (n_planes, 3)."""
-    held = labels >= 0
-    counts = np.maximum(np.bincount(labels[held], minlength=n_planes), 1)
-    sums = [np.bincount(labels[held], values[held, k], minlength=n_planes) for k in range(3)]
-    return np.stack(sums, axis=1) / counts[:, None]
-
-
 def _by_side(eyes: FloatArray, labels: np.ndarray, planes: FloatArray, fewest: int) -> np.ndarray:
     """Labels (N,) where planes that were seen from both sides, by the eyes (N, 3) of `fewest` points on either, are
     two: a wall has a thickness, whatever the noise."""
@@ -234,8 +232,8 @@ def _ahead_of(
     lengths = np.linalg.norm(normals, axis=1)
     usable = np.isfinite(lengths) & (lengths > 0.0)
     units = normals / np.where(usable, lengths, 1.0)[:, None]
-    mean = mean_of(units, np.where(usable, labels, -1), n_planes)
-    return mean_of(points, labels, n_planes) + mean, np.linalg.norm(mean, axis=1) >= 0.5
+    mean = means_of(units, np.where(usable, labels, -1), n_planes)
+    return means_of(points, labels, n_planes) + mean, np.linalg.norm(mean, axis=1) >= 0.5
 
 
 def _labels_of(points: FloatArray, grid: FloatArray, labels: np.ndarray) -> np.ndarray:

@@ -24,11 +24,6 @@ from spplanes.segmentation.config import FEW_ROWS, MapperConfig
 if TYPE_CHECKING:
     from shapely import Polygon
 
-#: A region's outline has at least this many cells across its smaller rms extent.
-CELLS_PER_EXTENT = 8.0
-#: Of its points that a plane is fitted to without those that may be of another one.
-_LEAST_SHARE = 0.5
-
 
 @dataclass(frozen=True, eq=False)
 class FittedPlanes:
@@ -51,11 +46,8 @@ class FittedPlanes:
 
     def with_outlines(self, outlines: Sequence[Polygon]) -> list[Plane]:
         """The planes."""
-        numbers = zip(self.counts.astype(int).tolist(), outlines, self.chi2.tolist(), strict=True)
-        return [
-            Plane._trusted(self.frames[r], self.covariances[r], n, outline, chi2)
-            for r, (n, outline, chi2) in enumerate(numbers)
-        ]
+        counts, chi2 = self.counts.astype(int).tolist(), self.chi2.tolist()
+        return [Plane._trusted(*one) for one in zip(self.frames, self.covariances, counts, outlines, chi2, strict=True)]
 
 
 def planes_of(
@@ -69,9 +61,6 @@ def planes_of(
     """The planes of a labelled grid.
 
     Args:
-        points: shape (S, B, 3), m.
-        covariance: shape (S, B, 1) or (S, B, 9), m^2.
-        labels: shape (S, B), 0..K-1, -1 = none.
         views: viewpoint of every row, shape (S, 3), m, or None for d >= 0.
         poses: pose covariances (S, 6, 6) and the points they turn about (S, 3), or None.
         config: outlines and the least shared error.
@@ -93,10 +82,9 @@ def fit_labelled(
     poses: tuple[FloatArray, FloatArray] | None = None,
     stated: bool = True,
 ) -> FittedPlanes:
-    """Planes of labelled points with all that their errors share.
+    """Planes of labelled points with all that their errors share; see `planes_of`.
 
     Args:
-        points, covariance, labels, poses, config: as of `planes_of`.
         eyes: where each plane was seen from, shape (R, 3), m; NaN for d >= 0.
         views: where the points were, shape (S, B, 3) or (S, 1, 3), m; None: nobody knows.
         stated: whether the covariance is a lower bound, or a guess that residuals may lower.
@@ -129,17 +117,15 @@ def fit_labelled(
 def _away_from_seams(
     points: FloatArray, covariance: FloatArray, labels: np.ndarray, frames: FloatArray, views: FloatArray | None
 ) -> tuple[FloatArray, np.ndarray]:
-    """Points where beams meet their planes, and labels without those that may be of another plane as well.
-
-    A plane keeps all of its points where fewer than half would be left: it lies beside another one everywhere.
-    """
+    """Points where beams meet their planes, and labels without those that may be of another plane as well; a plane
+    keeps all of its points where fewer than half would be left: it lies beside another one everywhere."""
     noise = covariance
     if views is not None and covariance.shape[2] == 1:
         noise = covariance * along_beams(points, views)
         points = placed(points, noise, labels, frames)
     sure = np.where(at_seams(points, noise, labels, frames), -1, labels)
     whole, left = (np.bincount(some[some >= 0], minlength=len(frames)) for some in (labels, sure))
-    kept = np.append(left < np.maximum(_LEAST_SHARE * whole, 3), False)
+    kept = np.append(left < np.maximum(0.5 * whole, 3), False)
     return points, np.where(kept[labels], labels, sure)
 
 
@@ -185,6 +171,14 @@ def shares_of(labels: np.ndarray, n_regions: int) -> np.ndarray:
     return np.bincount(codes, minlength=len(labels) * n_regions).reshape(len(labels), n_regions)
 
 
+def means_of(values: FloatArray, labels: np.ndarray, n_regions: int) -> FloatArray:
+    """Mean of values (N, 3) of the points of every region, labels (N,), shape (n_regions, 3)."""
+    held = labels >= 0
+    counts = np.maximum(np.bincount(labels[held], minlength=n_regions), 1)
+    sums = [np.bincount(labels[held], values[held, k], minlength=n_regions) for k in range(3)]
+    return np.stack(sums, axis=1) / counts[:, None]
+
+
 def frames_of(rows: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Plane frames (R, 4, 4) and the diagonal of the information of (z, theta, psi): (R, 3)."""
     frames, spreads, values = np.empty((len(rows), 4, 4)), np.empty((len(rows), 3)), np.empty(3)
@@ -209,23 +203,16 @@ def _shared_parts(grid, frames, spreads, poses, decay) -> FloatArray:
 def outlines_in(
     frames: FloatArray, points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
 ) -> list[Polygon]:
-    """Outline of every region: its quads on a raster, or a rectangle where it is finer than that.
-
-    Args:
-        frames: of the planes the outlines are drawn in, shape (R, 4, 4).
-        points: shape (S, B, 3), m.
-        labels: shape (S, B), 0..R-1, -1 = none.
-        extents: standard deviations of the points along x and y, shape (R, 2), m.
-        config: cells.
-    """
+    """Outline of every region in its frame: its quads on a raster, or a rectangle where it is finer than that.
+    `extents` (R, 2), m, are the standard deviations of the points along x and y."""
     if not len(frames):
         return []
     return or_rectangles(outlines_of_grid(points, labels, frames, cells_of(extents, config)), extents)
 
 
 def cells_of(extents: FloatArray, config: MapperConfig) -> FloatArray:
-    """Sides of the cells in which outlines of planes of such extents (R, 2), m, are drawn, shape (R,), m."""
-    return np.minimum(config.outline_cell_m, extents[:, 1] / CELLS_PER_EXTENT)
+    """Sides of the cells in which outlines of planes of such extents (R, 2), m, are drawn, (R,), m: eight at least."""
+    return np.minimum(config.outline_cell_m, extents[:, 1] / 8.0)
 
 
 def or_rectangles(outlines: Sequence[Polygon | None], extents: FloatArray) -> list[Polygon]:

@@ -17,9 +17,9 @@ def one_plane_chi2(a, b, bias, work):
 
     It is the growth of the sum of squared normalised residuals when both are fitted by one plane, which to first order
     is (b_a - b_b)^T (C_a + C_b)^-1 (b_a - b_b); it stays defined when one patch does not determine a plane. The
-    systematic error, variance `bias` along z and a tilt of as much per rms extent, is granted to the smaller patch: its
-    weights shrink by 1 + bias W, which is adding it to its covariance. Granted to a large but narrow patch as well, it
-    would let that one turn about its long axis by more than its points allow.
+    systematic error, variance `bias` along z and a tilt of as much per rms extent, is granted to the smaller patch,
+    whose weights shrink by 1 + bias W: a large but narrow one would turn about its long axis by more than its points
+    allow.
     """
     if a[1] < b[1]:
         a, b = b, a

@@ -127,10 +127,10 @@ def _grow_from(queue, tail, grid, planes, gate, floor_variance):
                 tail += 1
 
 
-def release(points, covariance, labels, planes, bias, size, limit):
+def release(grid, planes, bias, size, limit):
     """Unlabel, in place, the points that one region has in one cell where their mean distance is no chance (chi2)."""
-    some_rows = partial(_release_in, (points, covariance, labels), planes, bias, size, limit)
-    in_parts(some_rows, (len(labels) + size - 1) // size, labels.size)
+    some_rows = partial(_release_in, grid, planes, bias, size, limit)
+    in_parts(some_rows, (len(grid[2]) + size - 1) // size, grid[2].size)
 
 
 @njit(cache=True)

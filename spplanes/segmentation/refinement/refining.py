@@ -77,14 +77,8 @@ def release_misfits(sheet: Sheet, config: MapperConfig) -> None:
     surfaces seen in the same scans. There are many cells: 1e-4 of them may be found by chance.
     """
     part, steady = sheet.fresh, config.pose_correlation_scans >= 24
-    growing.release(
-        sheet.points[part],
-        sheet.covariance[part],
-        sheet.labels[part],
-        growing.hesse(sheet.rows),
-        config.flatness_m**2 + (0.0 if steady else 1.0) * sheet.bias[:, 0],
-        8,
-        chdtri(1, 1e-4),
-    )
+    grid, planes = (sheet.points[part], sheet.covariance[part], sheet.labels[part]), growing.hesse(sheet.rows)
+    bias = config.flatness_m**2 + (0.0 if steady else 1.0) * sheet.bias[:, 0]
+    growing.release(grid, planes, bias, 8, chdtri(1, 1e-4))
     if len(sheet.rows):
         refit(sheet, config)

@@ -10,11 +10,6 @@ from spplanes._check import FloatArray
 
 #: Cells along either side of a plane, by whose means bends are told, and fewest on either side of one.
 _CELLS, _FEWEST = 12, 2
-#: Directions that are looked at, with a place at every cell; about one that is worth it they are halved so often, with
-#: so many places.
-_DIRECTIONS, _WORTH, _REFINED, _PLACES = 8, 8.0, 4, 33
-#: A bend is where chi2 is by no more than so much below the largest: within three standard deviations.
-_AS_SURE = 9.0
 #: Chi2 by which a step must be surer than a bend: ten times as many tell apart, and 2 log 10 is 4.6.
 _OF_STEPS = 4.6
 
@@ -48,24 +43,21 @@ def surest_bend(places: FloatArray, residuals: FloatArray, weights: FloatArray) 
     """The surest bend of a plane: residuals that go as |u - q|, or step at u = q, u along some direction on the plane.
 
     A region that runs a little way round a blunt corner, or onto the next wall a few millimetres before it, tilts
-    between both, and what is left of its residuals hides in the noise of every point and of every patch; not in that
-    of all points beyond.
+    between both, and what is left of its residuals hides in the noise of every point and of every patch; not in that of
+    all points beyond. None where there are too few cells with points to tell one.
 
     Args:
         places: of the points on the plane, shape (N, 2), m; their noise must not go with that of the residuals.
         residuals, weights: along the normal, shape (N,), m and 1 / m^2.
-
-    Returns:
-        None where there are too few cells with points to tell one.
     """
     cells = _cells_of(places, residuals, weights)
     if len(cells) < 2 * _FEWEST:
         return None
-    step, ends = np.pi / _DIRECTIONS, (_FEWEST / _CELLS, 1.0 - _FEWEST / _CELLS)
-    found = _Bends(cells, step * np.arange(0.0, _DIRECTIONS), np.linspace(*ends, _CELLS - 2 * _FEWEST + 1))
-    for _ in range(_REFINED if found.chi2.max() > _WORTH else 0):
+    step, ends = np.pi / 8, (_FEWEST / _CELLS, 1.0 - _FEWEST / _CELLS)
+    found = _Bends(cells, step * np.arange(0.0, 8), np.linspace(*ends, _CELLS - 2 * _FEWEST + 1))
+    for _ in range(4 if found.chi2.max() > 8.0 else 0):  # about a direction that is worth it they are halved
         step /= 2.0
-        found = _Bends(cells, found.angle + step * np.arange(-1.0, 2.0), np.linspace(*ends, _PLACES))
+        found = _Bends(cells, found.angle + step * np.arange(-1.0, 2.0), np.linspace(*ends, 33))
     return found.surest()
 
 
@@ -98,11 +90,11 @@ class _Bends:
         return float(self._angles[self._column])
 
     def surest(self) -> Bend:
-        """The surest; it is anywhere that is hardly less sure."""
+        """The surest; it is anywhere that is hardly less sure, within three standard deviations."""
         k, information = self._best, float(self._information[self._best])
         most = float(np.abs(self._shape[:, k] / self._root).max())
         by_place = self.chi2[:, :, self._column].max(axis=0)
-        among = self._places[by_place >= self.chi2.max() - _AS_SURE, self._column]
+        among = self._places[by_place >= self.chi2.max() - 9.0, self._column]
         return Bend(
             float(self.chi2.max()),
             most * abs(float(self._pull[k])) / information,

@@ -11,11 +11,6 @@ from spplanes._jit import njit
 from spplanes.plane import Plane
 from spplanes.segmentation.config import ValidationConfig
 
-#: Patches are numbered by place where a grid over the plane has no more than so many for every point, else by sorting.
-_ROOM, _LEAST_ROOM = 8, 1024
-#: Patches further out than this are one.
-_FARTHEST = 2.0**29
-
 
 def is_one_plane(
     plane: Plane,
@@ -25,14 +20,9 @@ def is_one_plane(
     rules: ValidationConfig,
     scan_index: np.ndarray | None = None,
 ) -> bool:
-    """Whether points (N, 3) with covariances (N, 3, 3) lie about the plane as their noise says, patch by patch too.
+    """Whether points (N, 3) with covariances (N, 3, 3), what the plane was fitted to, lie about it as their noise says.
 
-    Args:
-        plane: the fit.
-        points, covariances: what it was fitted to.
-        viewpoint: where it was seen from, shape (3,).
-        rules: how much is allowed.
-        scan_index: scan of every point, shape (N,), where the points of a scan share a pose error.
+    Patch by patch too. `scan_index` (N,) tells which points share the pose error of a scan.
     """
     return (
         could_be_seen(plane, viewpoint, rules)
@@ -89,13 +79,11 @@ class InPatches:
         return bool(self._off.any()) or any(self._strip_is_off(*strip) for strip in strips)
 
     def without_strays(self) -> np.ndarray | None:
-        """Which points of the plane to keep, shape (N,): those that lie in no patch that strays, nor beside one.
+        """Which points of the plane to keep, (N,): those that lie in no patch that strays, nor beside one; None where
+        none does.
 
         A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there is
         something else, of which the patches around have their share, and the floor is a plane without it.
-
-        Returns:
-            None where no patch strays.
         """
         if not self._off.any():
             return None
@@ -119,14 +107,11 @@ def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:
 def patches_of(points: FloatArray, frame: FloatArray, side: float) -> tuple[np.ndarray, np.ndarray, int, int]:
     """Row and column (N,) of the square patch of every point, from 0 on, int64, and how many of both there are.
 
-    Args:
-        points: shape (N, 3), m.
-        frame: the plane's, shape (4, 4); its origin is a corner of patches.
-        side: of a patch, m.
+    The origin of the plane's frame is a corner of patches; those further out than 2^29 of their sides, m, are one.
     """
     x, y, z = (points - frame[:3, 3]).T
     row, column = (
-        np.clip(np.floor((x * a + y * b + z * c) / side), -_FARTHEST, _FARTHEST).astype(np.int64)
+        np.clip(np.floor((x * a + y * b + z * c) / side), -(2.0**29), 2.0**29).astype(np.int64)
         for a, b, c in frame[:3, :2].T
     )
     if len(points) == 0:
@@ -138,7 +123,7 @@ def patches_of(points: FloatArray, frame: FloatArray, side: float) -> tuple[np.n
 
 def numbered(codes: np.ndarray, span: int) -> tuple[np.ndarray, int]:
     """A number (N,) for every code from 0 to span - 1, the same for the same code, and how many numbers there are."""
-    if span <= _ROOM * len(codes) + _LEAST_ROOM:
+    if span <= 8 * len(codes) + 1024:  # else there is no room for what nothing is in
         return codes, span
     present, number = np.unique(codes, return_inverse=True)
     return number, len(present)
@@ -153,14 +138,11 @@ def strays(
     sigmas: float,
     least: float,
 ) -> np.ndarray:
-    """Whether the weighted mean residual of each group is more than noise, drift and unevenness, shape (n_groups,).
+    """Whether the weighted mean residual of each group (N,) is more than noise, drift and unevenness, shape
+    (n_groups,).
 
-    Args:
-        residuals, variances: of every point along the plane's normal, shape (N,), m and m^2.
-        drift: variance of what a slow error shifts every point by, shape (N,), or (0,) for none, m^2.
-        group: of every point, shape (N,).
-        n_groups: how many there are.
-        sigmas, least: what a mean may be, in its standard deviations and in m.
+    `residuals` and `variances` are along the plane's normal, m and m^2, `drift` (N,), or (0,) for none, the variance of
+    what a slow error shifts every point by. A mean may be so many `sigmas`, and `least`, m.
     """
     weights, slow = 1.0 / variances, np.zeros(n_groups)
     total, moments = np.bincount(group, weights, n_groups), np.bincount(group, weights * residuals, n_groups)

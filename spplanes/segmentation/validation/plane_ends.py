@@ -24,19 +24,13 @@ class Window:
 
 
 def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray], uneven_m: float) -> np.ndarray:
-    """Which points of planes are of no other surface, shape (S, B) bool.
+    """Which points of planes are of no other surface, shape (S, B) bool; `uneven_m` is that of surfaces from planes.
 
     A return at the end of a plane, the row of ceiling at the top of a wall, is given to what it lies nearer to. So
     either plane gets the errors that suit it and some of the other's points, at its very ends, and leans. Which returns
     these are must not depend on their errors: left out are those whose beam meets the plane where it would meet another
     one within its noise, and those beside a return of no plane, or of one that looks the same way: what is before or
     behind a wall begins somewhere between two beams, and nothing says on which side of it a return is.
-
-    Args:
-        window: what was segmented.
-        labels: plane of every point, shape (S, B), -1 = none.
-        frames: of the planes, shape (4, 4) each.
-        uneven_m: standard deviation of surfaces from planes, m.
     """
     if not len(frames):
         return labels >= 0
@@ -47,10 +41,8 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
 
 
 def _at_ends(valid: np.ndarray, labels: np.ndarray, alike: np.ndarray) -> np.ndarray:
-    """Which points, of those on planes, have a return beside them that may be before or behind theirs, (S, B) bool.
-
-    It is of no plane, or of another that looks the same way, and so is what follows it.
-    """
+    """Which points, of those on planes, have a return beside them that may be before or behind theirs, (S, B) bool: of
+    no plane, or of another that looks the same way, and so is what follows it."""
     n_rows, n_cols = labels.shape
     around, returns = np.pad(labels, 2, constant_values=-1), np.pad(valid, 2)
     found = np.zeros(labels.shape, dtype=bool)

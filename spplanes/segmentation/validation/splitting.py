@@ -11,19 +11,13 @@ from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 from spplanes.registration import RegisteredScans
 from spplanes.segmentation.config import ValidationConfig
-from spplanes.segmentation.planes import planes_of
+from spplanes.segmentation.planes import means_of, planes_of
 from spplanes.segmentation.validation.plane_ends import Window
 
 #: Largest chi2 (1 dof) of a step between two parts of one plane, the largest of some hundred cuts.
 LIMIT = 18.0
 #: Fewest points on either side of a cut.
 FEWEST = 6
-#: Bands of beams between which the corners of a surface are sought; straight cuts are sought from beam to beam.
-BANDS = 24
-#: Chi2 by which a corner must be surer than a straight cut: there are forty times as many of them, and 2 log 40 is 7.4.
-CORNER = 7.4
-#: Variance of the offset of a scan that is granted in any case, m^2.
-_LEAST_DRIFT = 1e-8
 
 Cut = Callable[[np.ndarray], tuple[np.ndarray, float]]
 
@@ -39,14 +33,8 @@ def purified(
 ) -> tuple[np.ndarray, list[Plane]]:
     """Labels (S, B) and planes of a window, each of one plane; the same where each is one already.
 
-    Args:
-        placed: the window.
-        labels: plane of every point, shape (S, B), -1 = none.
-        planes: those that were found.
-        pose_covariances: joint covariance of the poses of the scans, shape (6 S, 6 S), in the order of the SPmodel.
-        uneven_m: standard deviation of surfaces from planes, m.
-        mapper: what the window was segmented with.
-        rules: how far patches may lie off their plane; a step may be twice that.
+    `pose_covariances` are the joint ones of the scans' poses, (6 S, 6 S), in the order of the SPmodel, `uneven_m` the
+    standard deviation of surfaces from planes. Steps are twice what `rules` let patches lie off their plane, or more.
     """
     window = Window(placed.points, placed.covariances, pose_covariances)
     frames = [plane.frame for plane in planes]
@@ -67,13 +55,7 @@ def pure_labels(
 ) -> np.ndarray:
     """Labels (S, B) of the planes that those of `labels` really are; the very same array where nothing changes.
 
-    Args:
-        window: what was segmented.
-        labels: plane of every point, shape (S, B), -1 = none.
-        frames: of the planes, shape (4, 4) each.
-        uneven_m: standard deviation of surfaces from planes, m.
-        step_m: smaller steps are none, m.
-        mapper: what a plane is at least, in a window of so many scans; what is parted and is less is none.
+    For `uneven_m` and `step_m` see `parts_of`; what is parted and is less than `mapper` says of a plane is none.
     """
     fresh, count, parted = np.full_like(labels, -1), 0, False
     for r, frame in enumerate(frames):
@@ -114,11 +96,9 @@ def parts_of(
     is left, and parts between which there is none become one again.
 
     Args:
-        window: the grid.
-        members: the points, ascending flat indices, shape (N,).
+        members: the points, ascending flat indices of the window, shape (N,).
         frame: of the plane that was fitted to them, shape (4, 4).
-        uneven_m: standard deviation of surfaces from planes, m.
-        step_m: smaller steps are none, m.
+        uneven_m, step_m: standard deviation of surfaces from planes, m; smaller steps are none, m.
     """
     cut = _cutter(window, members, frame, uneven_m, step_m)
     parts, unsure = [], [np.arange(len(members))]
@@ -134,22 +114,29 @@ def parts_of(
 
 
 def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: float, step_m: float) -> Cut:
-    """What cuts a subset of the members best: which of the subset are beyond, and the chi2 of the step."""
+    """What cuts a subset of the members best: which of the subset are beyond, and the chi2 (1 dof) of the step.
+
+    Residuals are explained by a plane, by an offset of every scan, and by a step between the two sets. Sets are parted
+    between two scans, between two beams, or have a corner of the grid to themselves.
+    """
     scan, beam = np.divmod(members, window.points.shape[1])
     points, covariances = window.points.reshape(-1, 3)[members], window.covariances.reshape(-1, 3, 3)[members]
     place, residuals, weights = along_plane(points, covariances, frame)
-    drift, rule = (
-        drift_of_scans(points, frame[:3, 2], scan, window.pose_covariances),
-        (float(uneven_m**2), float(step_m)),
-    )
+    drift = drift_of_scans(points, frame[:3, 2], scan, window.pose_covariances)
+    rule = float(uneven_m**2), float(step_m)
 
     def cut(part: np.ndarray) -> tuple[np.ndarray, float]:
         if len(part) < 2 * FEWEST:
             return np.zeros(len(part), dtype=bool), 0.0
         scans, row = np.unique(scan[part], return_inverse=True)
-        information = np.linalg.inv(drift[np.ix_(scans, scans)])
-        column = beam[part] - beam[part].min()
-        return best_cut(row, column, place[part], residuals[part], weights[part], information, rule)
+        column, w, information = (
+            beam[part] - beam[part].min(),
+            weights[part],
+            np.linalg.inv(drift[np.ix_(scans, scans)]),
+        )
+        inverse, left = _explained(row, place[part], residuals[part], w, information)
+        (i0, i1, j0, j1), chi2 = _surest(row, column, place[part], left, w, inverse, rule)
+        return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), chi2
 
     return cut
 
@@ -170,30 +157,14 @@ def _rejoined(parts: list[np.ndarray], cut: Cut) -> list[np.ndarray]:
     return whole
 
 
-def best_cut(row, column, place, residuals, weights, drift, rule):
-    """The set of points that is stepped most surely from the others, and the chi2 (1 dof) of its step.
-
-    Residuals are explained by a plane, by an offset of every scan, and by a step between the two sets. Sets are parted
-    between two scans, between two beams, or have a corner of the grid to themselves; chi2 of these is less `CORNER`.
-
-    Args:
-        row, column: scan and beam of every point, shape (N,), from 0 on.
-        place: places on the plane, (N, 2), m; their noise must not go with that of the residuals.
-        residuals, weights: along the normal, shape (N,), m and 1 / m^2.
-        drift: information (S, S) of the offsets of the scans along the normal, 1 / m^2.
-        rule: variance of a step on one plane, for surfaces are not flat, m^2; smaller steps are none, m.
-
-    Returns:
-        Which points are beyond the best cut, shape (N,) bool, and its chi2; 0 where there is none to be judged.
-    """
-    inverse, left = _explained(row, place, residuals, weights, drift)
-    (i0, i1, j0, j1), chi2 = _surest(row, column, place, left, weights, inverse, rule)
-    return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), chi2
-
-
 @njit(cache=True)
 def _surest(row, column, place, left, weights, inverse, rule):
-    """Scans and beams, from and to, of the surest step that is left, and its chi2; see `best_cut`."""
+    """Scans and beams, from and to, of the surest step that is left, and its chi2; see `_cutter`.
+
+    Corners are sought between 24 bands of beams, and must be surer by 7.4: there are forty times as many of them as of
+    straight cuts, and 2 log 40 is that. `rule`: variance of a step on one plane, for surfaces are not flat, m^2; the
+    least, m.
+    """
     n_rows, n_columns = inverse.shape[0] - 3, column.max() + 1
     sums = np.zeros((n_rows, n_columns + 1, 5))
     for k in range(row.shape[0]):
@@ -208,7 +179,7 @@ def _surest(row, column, place, left, weights, inverse, rule):
             for k in range(5):
                 sums[i, j + 1, k] += sums[i, j, k]
     best, cut = 0.0, (0, n_rows, 0, 0)
-    every = max(n_columns // BANDS, 1)
+    every = max(n_columns // 24, 1)
     z = np.empty(3 + n_rows)
     for a in range(n_rows):
         for b in range(1, n_columns + 1):
@@ -218,7 +189,7 @@ def _surest(row, column, place, left, weights, inverse, rule):
             for corner in range(1 if straight else 4):
                 i0, i1 = (a, n_rows) if corner % 2 == 0 else (0, a)
                 j0, j1 = (0, b) if corner < 2 else (b, n_columns)
-                chi2 = _step(sums, (i0, i1, j0, j1), inverse, rule, z) - (0.0 if straight else CORNER)
+                chi2 = _step(sums, (i0, i1, j0, j1), inverse, rule, z) - (0.0 if straight else 7.4)
                 if chi2 > best:
                     best, cut = chi2, (i0, i1, j0, j1)
     return cut, best
@@ -269,30 +240,23 @@ def _step(sums, box, inverse, rule, z):
 def drift_of_scans(
     points: FloatArray, normal: FloatArray, scan: np.ndarray, pose_covariances: FloatArray
 ) -> FloatArray:
-    """Covariance (S, S) of what the errors of the poses shift the scans by along a plane's normal, m^2.
+    """Covariance (S, S) of what the errors of the poses, (6 S, 6 S), shift the scans by along a plane's normal, m^2.
 
-    Args:
-        points: shape (N, 3), m; those of one scan are taken at their middle.
-        normal: shape (3,).
-        scan: of every point, shape (N,).
-        pose_covariances: shape (6 S, 6 S), in the order of the SPmodel.
+    Points (N, 3) of one scan, `scan` (N,), are taken at their middle. A tenth of a millimetre is granted in any case.
     """
     n_scans = len(pose_covariances) // 6
-    counts = np.maximum(np.bincount(scan, minlength=n_scans), 1)
-    middles = np.stack([np.bincount(scan, points[:, k], minlength=n_scans) / counts for k in range(3)], axis=1)
+    middles = means_of(points, scan, n_scans)
     levers = [np.cross(axis, middles) @ normal for axis in np.eye(3)[::-1]]
     jacobian = np.column_stack([np.tile(normal, (n_scans, 1)), *levers])
     joint = np.asarray(pose_covariances).reshape(n_scans, 6, n_scans, 6)
-    return np.einsum("ia,iajb,jb->ij", jacobian, joint, jacobian) + _LEAST_DRIFT * np.eye(n_scans)
+    return np.einsum("ia,iajb,jb->ij", jacobian, joint, jacobian) + 1e-8 * np.eye(n_scans)
 
 
 def along_plane(
     points: FloatArray, covariances: FloatArray, frame: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places (N, 2) on the plane, distances (N,) from it and their weights.
-
-    Places are where the points most likely are on the plane: their errors do not go with those of the distances.
-    """
+    """Places (N, 2) on the plane, distances (N,) from it and their weights. Places are where the points most likely are
+    on the plane: their errors do not go with those of the distances."""
     residuals = (points - frame[:3, 3]) @ frame[:3, 2]
     toward = covariances @ frame[:3, 2]
     variances = np.maximum(toward @ frame[:3, 2], 1e-12)
