@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from math import isfinite
 from numbers import Integral, Real
 from operator import index
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,13 +18,6 @@ FloatArray = NDArray[np.float64]
 COVARIANCE_TOLERANCE = 1e-9
 #: Numbers as large as this are no measurements: their products would be infinite before anybody looks.
 TOO_LARGE = 1e50
-
-
-class HasMatrix(Protocol):
-    """A pose of another library that knows its (4, 4) matrix, such as ``gtsam.Pose3``."""
-
-    def matrix(self) -> Any:
-        """Shape (4, 4)."""
 
 
 def as_float_array(name: str, value: Any) -> FloatArray:
@@ -103,7 +96,7 @@ def as_covariance_stack(name: str, value: ArrayLike, size: int, count: int | Non
     return matrices
 
 
-def as_transform(name: str, value: ArrayLike | HasMatrix) -> FloatArray:
+def as_transform(name: str, value: Any) -> FloatArray:
     """Return a (4, 4) rigid transform; the rotation part must be orthonormal and right-handed to 1e-6."""
     transform = as_shape(name, value, (4, 4))
     r = transform.tolist()

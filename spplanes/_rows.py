@@ -242,6 +242,12 @@ def write_frame(n, x, c, frame) -> None:
     frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
 
 
+def symmetric3(upper: np.ndarray) -> np.ndarray:
+    """The symmetric 3x3 matrix with this upper triangle, shape (6,)."""
+    xx, xy, xz, yy, yz, zz = upper
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 @inlined
 def extent_status(row, middle: float, largest: float) -> int:
     """OK, COINCIDENT or COLLINEAR, judged by the two larger eigenvalues of the scatter and by rounding."""

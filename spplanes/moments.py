@@ -77,9 +77,7 @@ class Moments:
     @classmethod
     def from_row(cls, row: FloatArray) -> Moments:
         """Moments of a kernel row, shape (11,)."""
-        xx, xy, xz, yy, yz, zz = row[5:]
-        scatter = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return cls(int(row[0]), float(row[1]), np.array(row[2:5]), scatter)
+        return cls(int(row[0]), float(row[1]), np.array(row[2:5]), _rows.symmetric3(row[5:]))
 
     def as_row(self) -> FloatArray:
         """The same as a kernel row, shape (11,)."""

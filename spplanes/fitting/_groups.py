@@ -26,20 +26,15 @@ Robust = Literal["tukey"]
 
 @dataclass(frozen=True, eq=False)
 class FitJob:
-    """Checked input of a fit."""
+    """Checked input of a fit; what is given of points, (N, 3), as kernels take it (`spplanes.fitting._sums`)."""
 
     points: FloatArray
-    """Shape (N, 3), m."""
     covariances: FloatArray
-    """Shape (N, 3, 3), or (1, 3, 3) when all points share one, m^2."""
     step: int
-    """Distance between the covariances of successive points: 0 when they share one."""
     viewpoint: FloatArray
     """Shape (3,), m; NaN for none."""
     method: Method
-    """How to fit."""
     robust: Robust | None
-    """What to do about outliers."""
     shared: SharedPose | None
     """The pose errors that points of one scan share."""
 
@@ -106,18 +101,14 @@ def group_by_label(labels: ArrayLike | None, n: int) -> tuple[np.ndarray, np.nda
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Outcome of a fit for every group."""
+    """Outcome of a fit for every group: OK or why not, and of those that are, world_T_plane, (P, 4, 4), the covariances
+    (P, 3, 3) of (z, theta, psi), the number of points used, and chi2."""
 
     status: np.ndarray
-    """OK or why not, shape (P,), int64."""
     frames: FloatArray
-    """World_T_plane, shape (P, 4, 4)."""
     covariances: FloatArray
-    """Of (z, theta, psi), shape (P, 3, 3)."""
     counts: np.ndarray
-    """Points used, shape (P,), int64."""
     chi2: FloatArray
-    """Sum of squared normalised residuals, shape (P,)."""
 
     def planes(self) -> list[Plane]:
         """One plane a group."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import njit
-from spplanes._rows import row_frame
+from spplanes._rows import row_frame, symmetric3
 from spplanes.fitting._kernels import MAX_NOISE_SHARE
 from spplanes.fitting._moment_patches import variance_from
 
@@ -54,25 +54,15 @@ def unbiased_frame(row: FloatArray, noise: FloatArray, eye: FloatArray) -> tuple
     spread = np.array([row[1], values[2], values[1]])
     gain = np.diag([-1.0, 1.0]) @ frame[:3, :2].T
     covariance = np.diag(1.0 / spread)
-    covariance[1:, 1:] += share * (gain @ _matrix(noise) @ gain.T) / np.outer(spread[1:], spread[1:])
+    covariance[1:, 1:] += share * (gain @ symmetric3(noise) @ gain.T) / np.outer(spread[1:], spread[1:])
     return frame, spread, covariance
 
 
 def _share(row: FloatArray, noise: FloatArray, frame: FloatArray) -> float:
     """Share of V in the scatter: what the points show along the normal, and no more than their extent allows."""
-    scatter, added = (frame[:3, :3].T @ _matrix(six) @ frame[:3, :3] for six in (row[5:], noise))
+    scatter, added = (frame[:3, :3].T @ symmetric3(six) @ frame[:3, :3] for six in (row[5:], noise))
     if not added[2, 2] > 0.0:
         return 0.0
     widest = float(np.linalg.eigvals(np.linalg.solve(scatter[:2, :2], added[:2, :2])).real.max())
     share = min(1.0 - 1.0 / row[0], scatter[2, 2] / added[2, 2])
     return min(share, MAX_NOISE_SHARE / widest) if widest > 0.0 else share
-
-
-def chi2_along(row: FloatArray, normal: FloatArray) -> float:
-    """Weighted sum of the squared distances from the plane through the centre."""
-    return float(normal @ _matrix(row[5:]) @ normal)
-
-
-def _matrix(six: FloatArray) -> FloatArray:
-    xx, xy, xz, yy, yz, zz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -16,7 +16,7 @@ from spplanes._jit import inlined, njit
 FLOOR = 1e-6
 #: Layout of the sums: cost; gradient (3); information (6); raw sums of w times x, y, xx, xy, yy; noise along the plane
 #: (3); number of points used; chi2.
-COST, GRADIENT, INFORMATION, RAW, NOISE, USED, CHI2, N_SUMS = 0, 1, 4, 10, 15, 18, 19, 20
+INFORMATION, RAW, USED, CHI2, N_SUMS = 4, 10, 18, 19, 20
 
 
 @njit(cache=True)

@@ -26,15 +26,8 @@ def at_seams(
     those whose beam meets their plane where it would meet another one within its noise.
 
     The place where a beam meets a plane is where its point is moved to by C n (n.x - d) / (n.C n), along the beam where
-    its range alone errs. Both planes are uneven: by as much as the first is, divided by the sine at which the beam
-    meets it, that place moves along the beam.
-
-    Args:
-        points: shape (S, B, 3), m.
-        covariance: shape (S, B, 1), isotropic variances, or (S, B, 9), m^2.
-        labels: plane of every point, shape (S, B), -1 = none.
-        frames: world_T_plane of the planes, shape (R, 4, 4).
-        uneven_m: standard deviation of surfaces from planes, m.
+    its range alone errs. Both planes are uneven: by as much as the first is (`uneven_m`), divided by the sine at which
+    the beam meets it, that place moves along the beam. For the other arguments see `spplanes.segmentation`.
     """
     found = np.zeros(labels.shape, dtype=bool)
     if len(frames) < 2:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, inner
-from spplanes.lines._kernels import N_SUMS, fit_sums
+from spplanes.lines._kernels import N_SUMS, fit_sums, sum_of
 from spplanes.lines._round import solve_symmetric
 
 #: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
@@ -60,16 +60,6 @@ def start_line(moments, members):
     """The line of the inverse-range fit, as `fit_beams` returns it."""
     u, v, chi2 = fit_sums(sum_of(moments, members))
     return np.arctan2(v, u), 1.0 / np.hypot(u, v), 0.0, 0.0, 0.0, chi2
-
-
-@inner(cache=True)
-def sum_of(moments, members):
-    """The six sums of some beams."""
-    total = np.zeros(N_SUMS)
-    for k in members:
-        for i in range(N_SUMS):
-            total[i] += moments[k, i]
-    return total
 
 
 @inlined

@@ -17,18 +17,13 @@ from spplanes._jit import inlined, inner
 
 
 class Beams(NamedTuple):
-    """Returns in order of bearing, (V,) each."""
+    """Returns in order of bearing, (V,) each: rad, and m with their standard deviations."""
 
     bearings: np.ndarray
-    """Rad."""
     cosines: np.ndarray
-    """Of the bearings."""
     sines: np.ndarray
-    """Of the bearings."""
     ranges: np.ndarray
-    """M."""
     sigmas: np.ndarray
-    """Standard deviations of the ranges, m."""
 
 
 N_SUMS = 6
@@ -111,10 +106,10 @@ def fit_sums(m):
 
 
 @inner(cache=True)
-def sum_range(moments, low, high):
-    """The six sums of the beams low..high-1."""
+def sum_of(moments, members):
+    """The six sums of some beams, an array or a range of them."""
     total = np.zeros(N_SUMS)
-    for k in range(low, high):
+    for k in members:
         for i in range(N_SUMS):
             total[i] += moments[k, i]
     return total

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, inner
-from spplanes.lines._kernels import N_SUMS, fit_sums, sum_range
+from spplanes.lines._kernels import N_SUMS, fit_sums, sum_of
 
 
 @inner(cache=True)
@@ -83,7 +83,7 @@ def merge(beams, moments, starts, is_round, bounds, flatness, gate):
         if starts[i + 1] - starts[i] < 3 or is_round[starts[i]]:
             labels[starts[i] : starts[i + 1]] = -1
             continue
-        new = sum_range(moments, starts[i], starts[i + 1])
+        new = sum_of(moments, range(starts[i], starts[i + 1]))
         pieces[count, 0], pieces[count, 1] = starts[i], starts[i + 1]
         target = count
         for j in range(count - 1, -1, -1):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, inner
-from spplanes.lines._kernels import fit_sums, split_gate, sum_range
+from spplanes.lines._kernels import fit_sums, split_gate, sum_of
 
 #: A share of the scatter that keeps circles of no curvature solvable; it bounds their radius, not that of pillars.
 DAMPING = 1e-9
@@ -105,7 +105,7 @@ def find_round(beams, moments, breaks, starts, significance, min_arc):
     n_pieces = starts.size - 1
     chi2 = np.empty(n_pieces)
     for i in range(n_pieces):
-        chi2[i] = fit_sums(sum_range(moments, starts[i], starts[i + 1]))[2]
+        chi2[i] = fit_sums(sum_of(moments, range(starts[i], starts[i + 1])))[2]
     for i in range(n_pieces - 1):
         lines = chi2[i]
         for j in range(i + 1, n_pieces):

@@ -7,8 +7,9 @@ import copy
 import numpy as np
 
 from spplanes._check import FloatArray
+from spplanes._rows import symmetric3
 from spplanes.fitting import _pose_error
-from spplanes.fitting._own_noise import chi2_along, unbiased_frame
+from spplanes.fitting._own_noise import unbiased_frame
 from spplanes.moments import ROW_SIZE, merge_rows
 from spplanes.outlines import outline
 from spplanes.outlines._raster import cells_of, distinct, projection_axis
@@ -134,7 +135,8 @@ class RegionTable:
         for k, r in enumerate(kept):
             covariance = covariances[k] + np.diag(self.config.surface_sigma_m**2 * rows[k, 1] / spreads[k])
             covariance += _pose_error.covariance_of(frames[k], spreads[k], self.anchor[r], self.pose[r])
-            chi2 = chi2_along(rows[k], frames[k][:3, 2])
+            normal = frames[k][:3, 2]
+            chi2 = float(normal @ symmetric3(rows[k, 5:]) @ normal)
             result.append(Plane._trusted(frames[k], covariance, int(rows[k, 0]), outlines[k], chi2))
         return result
 

@@ -31,16 +31,12 @@ from spplanes.segmentation.unordered import label_curve
 
 
 class Found(NamedTuple):
-    """What a search finds."""
+    """What a search finds: labels of the returns, and planes about an origin, (3,), m."""
 
     labels: np.ndarray
-    """Of the returns."""
     planes: list[Plane]
-    """About the origin."""
     origin: FloatArray
-    """Where that is, shape (3,), m."""
     fitted: FittedPlanes
-    """Counts, and what errors show."""
     variances: FloatArray
     """That the distinct points were fitted with, m^2."""
     by_eye: np.ndarray
@@ -58,9 +54,7 @@ class CloudSearch:
     eyes: FloatArray
     """Where they were seen from, of the points' shape, m."""
     sigma: float | None
-    """As given."""
     config: MapperConfig
-    """As given."""
 
     @classmethod
     def checked(cls, points: FloatArray, eyes: FloatArray, sigma: float | None, config: MapperConfig) -> CloudSearch:

@@ -18,15 +18,13 @@ class Sheet:
     """A grid of points while it is being labelled, after the regions that reach into it from earlier scans."""
 
     points: FloatArray
-    """Shape (S, B, 3), m."""
     covariance: FloatArray
-    """All of a point's uncertainty, shape (S, B, 1) isotropic or (S, B, 9), m^2."""
+    """All of a point's uncertainty."""
     shared: FloatArray
     """The part of it that a point shares with its scan, shape (S, B, 9), or (1, 1, 1) when there is none."""
     valid: np.ndarray
     """Which points are returns, shape (S, B) bool."""
     labels: np.ndarray
-    """Region of every point, shape (S, B) int64, -1 = none."""
     start: int = 0
     """First row that is to be labelled; those before it are settled and only show where regions reach in."""
     prior: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))

@@ -43,19 +43,16 @@ def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: Ma
 
 @dataclass(eq=False)
 class _Labelling:
-    """A cloud while it is being labelled."""
+    """A cloud along its curve, points (N, 3) with variances (N,), while it is being labelled."""
 
     points: FloatArray
-    """Along the curve, shape (N, 3), m."""
     variances: FloatArray
-    """Of the points, shape (N,), m^2."""
     cells: Cells
     """Of all points: where planes meet, and where they grow."""
     config: MapperConfig
     octave_m: float = 0.0
     """Standard deviation of an octave of the shared error, m."""
     rows: FloatArray = field(default_factory=lambda: np.empty((0, ROW_SIZE)))
-    """Moments of the regions, shape (R, 11)."""
 
     def __post_init__(self) -> None:
         n_cells = len(self.cells.level)

@@ -22,8 +22,6 @@ CELL_SLACK = 1.15
 """Mean squared residual of a planar cell may exceed the noise model by this factor: sensors are known to 7 %."""
 HIDDEN = 3.0
 """Widest occluder behind which a plane is taken to continue, in widths (points) of the smaller of its two parts."""
-RECENT = 256
-"""Pairs that were found last, by which most repetitions are left out; a power of two."""
 
 
 def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig) -> None:
@@ -104,7 +102,7 @@ def _pairs_of_rows(grid, views, regions, gap, first, last):
     """The pairs with one region in the rows from first to last, beside or above the other."""
     (points, covariance, valid, labels, _), (planes, sizes, bias) = grid, regions
     pairs, count = np.empty((1024, 2), dtype=np.int64), 0
-    recent = np.full((RECENT, 2), -1, dtype=np.int64)
+    recent = np.full((256, 2), -1, dtype=np.int64)  # pairs found last, by which most repetitions are left out
     for i in range(first, last):
         for j in range(labels.shape[1]):
             r = labels[i, j]
@@ -153,7 +151,7 @@ def _with_room(pairs):
 @inlined
 def _enter(pairs, count, recent, q, r):
     """Put a pair down unless it was there lately; returns whether."""
-    place = (31 * q + r) & (RECENT - 1)
+    place = (31 * q + r) % recent.shape[0]
     if recent[place, 0] == q and recent[place, 1] == r:
         return 0
     recent[place, 0], recent[place, 1] = q, r

@@ -16,7 +16,6 @@ class Window:
     """The points of a push-broom window."""
 
     points: FloatArray
-    """Shape (S, B, 3), m."""
     covariances: FloatArray
     """Shape (S, B, 3, 3), m^2."""
     pose_covariances: FloatArray
