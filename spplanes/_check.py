@@ -21,11 +21,9 @@ TOO_LARGE = 1e50
 
 
 def as_float_array(name: str, value: Any) -> FloatArray:
-    """Return ``value`` as a C-ordered float64 array; anything that is not real numbers is a ``ValueError``.
-
-    Text, dates, complex numbers and masked entries are refused, which numpy would turn into floats without a word.
-    What has a ``matrix()``, such as a ``gtsam.Pose3``, stands for its matrix, and so does a list of such.
-    """
+    """Return ``value`` as a C-ordered float64 array; anything that is not real numbers is a ``ValueError``. Text,
+    dates, complex numbers and masked entries are refused, which numpy would turn into floats without a word. What has a
+    ``matrix()``, such as a ``gtsam.Pose3``, stands for its matrix, and so does a list of such."""
     if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous:
         return value  # what nearly all callers give
     value = _matrices(value)

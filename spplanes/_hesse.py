@@ -38,10 +38,8 @@ def hesse_jacobian(frame: FloatArray) -> FloatArray:
 
 
 def covariance_from_hesse(frame: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(3, 3) covariance of (z, theta, psi) from the (4, 4) one of (n, d): theta = x.dn, psi = -y.dn, z = dd - c.dn.
-
-    In z, dn is taken without its part along n, which a unit vector does not have.
-    """
+    """(3, 3) covariance of (z, theta, psi) from the (4, 4) one of (n, d): theta = x.dn, psi = -y.dn, z = dd - c.dn. In
+    z, dn is taken without its part along n, which a unit vector does not have."""
     x, y, c = frame[:3, 0], frame[:3, 1], frame[:3, 3]
     inverse = np.zeros((3, 4))
     inverse[1, :3], inverse[2, :3] = x, -y
@@ -52,10 +50,8 @@ def covariance_from_hesse(frame: FloatArray, covariance: FloatArray) -> FloatArr
 
 
 def slopes_in(frame: FloatArray, plane_frame: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A plane as z(x, y) = p_z - theta x + psi y in another ``frame``: (p_z, theta, psi) and its (3, 3) covariance.
-
-    The plane must not be seen edge-on from the frame's z axis.
-    """
+    """A plane as z(x, y) = p_z - theta x + psi y in another ``frame``: (p_z, theta, psi) and its (3, 3) covariance. The
+    plane must not be seen edge-on from the frame's z axis."""
     rotation = frame[:3, :3].T @ plane_frame[:3, :3]
     centre = frame[:3, :3].T @ (plane_frame[:3, 3] - frame[:3, 3])
     a, b, c = rotation[:, 2]

@@ -45,11 +45,9 @@ KERNELS: list[Any] = []
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `numba.njit` with these options and our own, and with what a wheel brings.
-
-    All kernels have no entry for C, release Python's lock, and divide as numpy does. Numba compiles its own functions
-    anew for every set of options that calls them.
-    """
+    """A decorator: `numba.njit` with these options and our own, and with what a wheel brings. All kernels have no entry
+    for C, release Python's lock, and divide as numpy does. Numba compiles its own functions anew for every set of
+    options that calls them."""
 
     def kernel_of(function: Callable[..., Any]) -> Any:
         settings: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_model": "numpy", **options}
@@ -65,10 +63,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def inner(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator: `njit` for what only kernels call. Without an entry for Python it compiles a seventh faster.
-
-    Called from Python, it raises TypeError.
-    """
+    """A decorator: `njit` for what only kernels call. Without an entry for Python it compiles a seventh faster. Called
+    from Python, it raises TypeError."""
 
     def inner_of(function: Callable[..., Any]) -> Any:
         kernel = njit(no_cpython_wrapper=True, **options)(function)
@@ -85,10 +81,8 @@ def inner(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """A decorator for what one kernel calls in one place: compiled as a part of it, not alone.
-
-    Not for what goes into a kernel that is long already: typing takes more than twice the time for twice the length.
-    """
+    """A decorator for what one kernel calls in one place: compiled as a part of it, not alone. Not for what goes into a
+    kernel that is long already: typing takes more than twice the time for twice the length."""
     return numba.njit(inline="always")(function)
 
 

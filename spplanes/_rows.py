@@ -49,11 +49,9 @@ def copy_into(target, source) -> None:
 
 @njit(cache=True)
 def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, values, vectors) -> None:
-    """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix, into (3,) and the columns of (3, 3).
-
-    Cyclic Jacobi rotations, written out for the three pairs. A small eigenvalue of a positive semidefinite matrix is
-    found to rounding of the matrix' entries, and eigenvectors stay orthogonal to rounding, also when eigenvalues tie.
-    """
+    """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix, into (3,) and the columns of (3, 3). Cyclic
+    Jacobi rotations, written out for the three pairs. A small eigenvalue of a positive semidefinite matrix is found to
+    rounding of the matrix' entries, and eigenvectors stay orthogonal to rounding, also when eigenvalues tie."""
     v = np.zeros((3, 3))
     for k in range(3):
         v[k, k] = 1.0
@@ -168,10 +166,8 @@ def merge_scaled(out, a, scale_a: float, b, scale_b: float) -> None:
 
 @njit(cache=True)
 def smallest_eigen(row) -> tuple[float, float, float, float]:
-    """Smallest eigenvalue of the scatter and its unit eigenvector: (value, nx, ny, nz), the sign of n left open.
-
-    With inverse-variance weights the value is the chi2 of the plane through the centre with that normal.
-    """
+    """Smallest eigenvalue of the scatter and its unit eigenvector: (value, nx, ny, nz), the sign of n left open. With
+    inverse-variance weights the value is the chi2 of the plane through the centre with that normal."""
     values = np.empty(3)
     vectors = np.empty((3, 3))
     jacobi3(row[5], row[6], row[7], row[8], row[9], row[10], values, vectors)

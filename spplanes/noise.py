@@ -137,11 +137,9 @@ def _one_or_all(value: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 @njit(cache=True)
 def _beam_covariances(points, eyes, spot, known, result):
-    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length.
-
-    Of the viewpoints (N, 3) and what the range changes across the spot (N,) there may be one for all. `known` are the
-    least variance of a range, its growth with the range and with the square of that, and the sigma of bearings.
-    """
+    """u u^T var(r) + (I - u u^T) (r sigma_bearing)^2 of every ray, into (N, 9); False where a ray has no length. Of the
+    viewpoints (N, 3) and what the range changes across the spot (N,) there may be one for all. `known` are the least
+    variance of a range, its growth with the range and with the square of that, and the sigma of bearings."""
     least, share, per_m2, bearing_sigma = known
     for k in range(points.shape[0]):
         e, s = (k if eyes.shape[0] > 1 else 0), (k if spot.shape[0] > 1 else 0)

@@ -145,10 +145,8 @@ def _rows_of(elevation: FloatArray, highest: float, lowest: float, rows: int) ->
 
 
 def _phases_of(azimuth: FloatArray, columns: np.ndarray) -> FloatArray:
-    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns.
-
-    Of the sum of e^(i n azimuth), the direction; the powers come from squares of the first.
-    """
+    """Where in their column beams lie on average, for every number of columns (C,) in a whole turn, (C,), columns. Of
+    the sum of e^(i n azimuth), the direction; the powers come from squares of the first."""
     squares = [np.exp(1j * azimuth)]
     for _ in range(int(columns.max()).bit_length() - 1):
         squares.append(squares[-1] ** 2)
@@ -202,11 +200,9 @@ def _turns_of(points: FloatArray) -> FloatArray:
 
 
 def _lines_of(points: FloatArray) -> FloatArray | None:
-    """The lines that the order of the points shows, shape (S, B, 3); None where it shows none.
-
-    A line starts where the beam turns by 20 deg and by ten of the usual steps. Lines are believed when there are eight
-    at least, of eight points (median), and none is much longer.
-    """
+    """The lines that the order of the points shows, shape (S, B, 3); None where it shows none. A line starts where the
+    beam turns by 20 deg and by ten of the usual steps. Lines are believed when there are eight at least, of eight
+    points (median), and none is much longer."""
     if len(points) < 64:
         return None
     cosines = _turns_of(points)

@@ -163,11 +163,9 @@ class Cells:
     def of(
         cls, points: FloatArray, keys: np.ndarray, variances: FloatArray, octave: float, max_tilt_rad: float
     ) -> Cells:
-        """Leaves of points (N, 3) along a curve with variances (N,), m^2: the largest cells that are planar.
-
-        A cell, of six points at least, is planar when its residuals are those of the noise, or 15 % more, when no
-        octant of it lies off its plane, and when its points determine the plane's tilt to ``max_tilt_rad``.
-        """
+        """Leaves of points (N, 3) along a curve with variances (N,), m^2: the largest cells that are planar. A cell, of
+        six points at least, is planar when its residuals are those of the noise, or 15 % more, when no octant of it
+        lies off its plane, and when its points determine the plane's tilt to ``max_tilt_rad``."""
         limits = np.array([-ndtri(1e-3), 1.15, chdtri(1, 1e-4), max_tilt_rad**-2.0])
         found, rows = planar_leaves(points, keys, variances, octave, 6, limits)
         bounds = np.append(found[:, 0], len(points))

@@ -89,11 +89,9 @@ def move_frame(source, b0, ax, ay, target) -> None:
 
 @inner(cache=True)
 def descend(group, cutoff2, gain, frame, sums) -> int:
-    """Gauss-Newton from ``frame`` to the minimum; leaves ``frame`` there and ``sums`` as good as taken there.
-
-    ``gain`` stretches the step for a robust cost, whose expected curvature is below its weights' sum. A step that does
-    not lower the cost is halved.
-    """
+    """Gauss-Newton from ``frame`` to the minimum; leaves ``frame`` there and ``sums`` as good as taken there. ``gain``
+    stretches the step for a robust cost, whose expected curvature is below its weights' sum. A step that does not lower
+    the cost is halved."""
     inverse, base = np.empty((3, 3)), frame.copy()
     b0 = ax = ay = 0.0
     best = np.inf
@@ -163,10 +161,8 @@ def write_covariance(sums, score, to_p, covariance) -> bool:
 
 @njit(cache=True)
 def settle(base, sums, viewpoint, frame, to_p) -> int:
-    """Final frame at the minimum, and the (3, 3) matrix that takes slopes in ``base`` to (z, theta, psi) in it.
-
-    Origin at the weighted centre, x along the larger in-plane extent, normal to the viewpoint.
-    """
+    """Final frame at the minimum, and the (3, 3) matrix that takes slopes in ``base`` to (z, theta, psi) in it. Origin
+    at the weighted centre, x along the larger in-plane extent, normal to the viewpoint."""
     w = sums[4]
     cx, cy = sums[10] / w, sums[11] / w
     xx, xy, yy = sums[12] - w * cx * cx, sums[13] - w * cx * cy, sums[14] - w * cy * cy

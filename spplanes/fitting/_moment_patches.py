@@ -50,11 +50,8 @@ def normal_of(row, smallest):
 @njit(cache=True)
 def variance_along(covariance, i, j, nx, ny, nz):
     """n^T C n of point (i, j) of a grid of covariances, (S, B, 1), isotropic variances, or (S, B, 9): by index, because
-    a view of every single point would take longer than the arithmetic.
-
-    It is not taken below a thousandth of the trace: a beam that grazes a plane does not measure it exactly, even if the
-    model leaves out the error of its direction.
-    """
+    a view of every single point would take longer than the arithmetic. It is not taken below a thousandth of the trace:
+    a beam that grazes a plane does not measure it exactly, even if the model leaves out the error of its direction."""
     if covariance.shape[2] == 1:
         return covariance[i, j, 0]
     xx, yy, zz = covariance[i, j, 0], covariance[i, j, 4], covariance[i, j, 8]
@@ -87,10 +84,8 @@ def residual_chi2(points, covariance, i, j, planes, r, floor_variance):
 
 @inner(cache=True)
 def add_run(sums, points, covariance, i, begin, end, about, normal, floor_variance, weighted):
-    """Add points [begin, end) of row i to sums about a point near them, weighted by their noise along a normal.
-
-    Sums in registers, row by row, take a third of the time of adding every point to moments.
-    """
+    """Add points [begin, end) of row i to sums about a point near them, weighted by their noise along a normal. Sums in
+    registers, row by row, take a third of the time of adding every point to moments."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     ox, oy, oz = about[0], about[1], about[2]
     sw, sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -37,12 +37,8 @@ def unbiased_frame(row: FloatArray, noise: FloatArray, eye: FloatArray) -> tuple
     """Plane of moments (11,) and of the noise V (6,) in them, its normal to ``eye``, (3,), or d >= 0 where that is NaN.
 
     At most so much of V is taken out as the points scatter along the normal: noise that was stated too large does not
-    turn the normal the other way.
-
-    Returns:
-        world_T_plane; W and the sums of w x^2 and w y^2 of the points without their noise, shape (3,); the covariance
-        of
-        (z, theta, psi), without shared errors.
+    turn the normal the other way. Given back are world_T_plane, W and the sums of w x^2 and w y^2 of the points without
+    their noise, and the covariance of (z, theta, psi), without shared errors.
     """
     frame, values, clean = np.empty((4, 4)), np.empty(3), row.copy()
     row_frame(row, eye, frame, values)

@@ -12,11 +12,9 @@ N, WEIGHT, RESIDUAL, SQUARE, X, Y = range(6)
 
 @njit(cache=True)
 def add_to_patches(points, variances, groups, frames, half, sums):
-    """Add every point's residual to the sums (P, SIDE, SIDE, 6) of its patch, in place.
-
-    Points (N, 3), m, of ``groups`` (N,), -1 = none, have ``variances`` (N, 1) or (N, 9), or (1, .) for all, m^2.
-    ``half`` (P, 2), m, are half the sides of the rectangles that are parted; points beyond are of the rim.
-    """
+    """Add every point's residual to the sums (P, SIDE, SIDE, 6) of its patch, in place. Points (N, 3), m, of ``groups``
+    (N,), -1 = none, have ``variances`` (N, 1) or (N, 9), or (1, .) for all, m^2. ``half`` (P, 2), m, are half the sides
+    of the rectangles that are parted; points beyond are of the rim."""
     step = 1 if variances.shape[0] == points.shape[0] else 0
     isotropic = variances.shape[1] == 1
     for k in range(points.shape[0]):

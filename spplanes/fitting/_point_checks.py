@@ -94,11 +94,9 @@ def as_covariances(
     least: float = SMALLEST_VARIANCE,
     most: float = LARGEST_VARIANCE,
 ) -> FloatArray:
-    """Return symmetric positive semidefinite matrices (..., 3, 3); singular is allowed, all zero is not.
-
-    ``shape`` is that of the points, ``valid``, of that shape, tells which are judged, all of them if None. The largest
-    entry of a matrix may be from ``least`` to ``most``, m^2.
-    """
+    """Return symmetric positive semidefinite matrices (..., 3, 3); singular is allowed, all zero is not. ``shape`` is
+    that of the points, ``valid``, of that shape, tells which are judged, all of them if None. The largest entry of a
+    matrix may be from ``least`` to ``most``, m^2."""
     covariances = as_float_array(name, value)
     if covariances.shape != (*shape, 3, 3):
         raise ValueError(f"{name}: expected shape {(*shape, 3, 3)}, one for each point, got {covariances.shape}")

@@ -29,10 +29,8 @@ def roots(pose_covariances: FloatArray) -> FloatArray:
 @njit(cache=True)
 def accumulate(grid, regions, errors, total, running):
     """Add the scans of a grid (points, covariances, labels) to the sums D (R, 4, 4) and u (R, 6, 4) of their regions.
-
     ``regions`` are planes (normal, d), (R, 4), and the points r, (R, 3); ``errors`` the square roots of the scans' pose
-    covariances, (S, 6, 6), the points about which they turn, (S, 3), and rho, 0 for independent ones.
-    """
+    covariances, (S, 6, 6), the points about which they turn, (S, 3), and rho, 0 for independent ones."""
     (_, _, labels), (pose_roots, origins, decay) = grid, errors
     n_regions = total.shape[0]
     moments, gain = np.zeros((n_regions, 4, 6)), np.empty((4, 6))

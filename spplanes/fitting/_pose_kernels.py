@@ -28,10 +28,8 @@ def add_cross(base, a, b, sign, out) -> None:
 
 @njit(cache=True)
 def scan_sums(points, covs, step, scan, origins, frame, xi, info, cross, pose, plane_side, pose_side) -> float:
-    """Sums of one Gauss-Newton step per scan: sum w f f^T, w f g^T, w g g^T, w r f, w r g; returns sum w r^2.
-
-    r is the distance that the pose error leaves, f = (1, x, y) and g are those of the foot point that it implies.
-    """
+    """Sums of one Gauss-Newton step per scan: sum w f f^T, w f g^T, w g g^T, w r f, w r g; returns sum w r^2. r is the
+    distance that the pose error leaves, f = (1, x, y) and g are those of the foot point that it implies."""
     axes, q, g, f = np.empty((3, 3)), np.empty(3), np.empty(6), np.ones(3)
     turn, seen, spread, drawn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for j in range(3):

@@ -119,11 +119,9 @@ def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
 
 @inner(cache=True)
 def patch_points(group, frame, cutoff2, kept) -> int:
-    """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many.
-
-    A gross outlier that happens to lie near the plane but far out along it would have all the leverage on the slope.
-    Mean and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes.
-    """
+    """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many. A
+    gross outlier that happens to lie near the plane but far out along it would have all the leverage on the slope. Mean
+    and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes."""
     points, covs, step, order, lo, hi = group
     mx = my = xx = xy = yy = 0.0
     before = -1.0
@@ -182,10 +180,8 @@ def ring_information(group, frame, cutoff2, ring) -> None:
 @inner(cache=True)
 def discount_outliers(sums, ring, score) -> None:
     """Turn the weights' information in ``sums`` into the curvature of the cost, and write the variance of its score.
-
     Inliers bring curvature SLOPE and variance SCORE; outliers within the cutoff, as many as in the ring, no curvature
-    but variance OUT_SCORE. They are believed in as far as a fifth of the information is left without them.
-    """
+    but variance OUT_SCORE. They are believed in as far as a fifth of the information is left without them."""
     inverse, left, part = np.empty((3, 3)), np.empty(6), OUT_WEIGHT
     while True:
         for k in range(6):

@@ -55,10 +55,8 @@ class SharedPose:
         return cls(_scan_index(scan_index, len(points), scans), _square_roots(covariances), origins).centred(points)
 
     def centred(self, points: FloatArray) -> SharedPose:
-        """The same errors with every scan's rotations about the middle of its ``points`` (N, 3).
-
-        Far from the point a scan turns about, shift and rotation are all but one: 1,000 km away too much so for floats.
-        """
+        """The same errors with every scan's rotations about the middle of its ``points`` (N, 3). Far from the point a
+        scan turns about, shift and rotation are all but one: 1,000 km away too much so for floats."""
         counts = np.maximum(np.bincount(self.scan, minlength=len(self.origins)), 1)[:, None]
         lever = points - self.origins[self.scan]
         arms = np.stack([np.bincount(self.scan, lever[:, k], len(self.origins)) for k in range(3)], axis=1) / counts
@@ -124,10 +122,8 @@ def _square_roots(covariances: FloatArray) -> FloatArray:
 def fit_shared_pose(
     cloud: Cloud, viewpoint: FloatArray, shared: SharedPose, base: FloatArray
 ) -> tuple[int, FloatArray, FloatArray, float]:
-    """Joint maximum likelihood of the plane and the scans' pose errors: outcome, frame, covariance and chi2.
-
-    ``cloud``: points, covs, step as in the kernels; ``base``, (4, 4), the frame to start from, is moved to the optimum.
-    """
+    """Joint maximum likelihood of the plane and the scans' pose errors: outcome, frame, covariance and chi2. ``cloud``:
+    points, covs, step as in the kernels; ``base``, (4, 4), the frame to start from, is moved to the optimum."""
     u = np.zeros((len(shared.roots), shared.roots.shape[2]))
     left, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):

@@ -58,11 +58,9 @@ def start_row(group, power, row) -> None:
 
 @inlined
 def sp_covariance(group, frame, row, values, covariance) -> float:
-    """SP covariance of the weighted PCA plane, C = F diag(C_i) F^T with the exact derivative F; returns chi2.
-
-    The fit moves by dz = sum w dz_i / W and, as the normal is an eigenvector, by the slope
-    dax = sum w (x dz + z dx) / (lambda_x - lambda_z), day alike.
-    """
+    """SP covariance of the weighted PCA plane, C = F diag(C_i) F^T with the exact derivative F; returns chi2. The fit
+    moves by dz = sum w dz_i / W and, as the normal is an eigenvector, by the slope dax = sum w (x dz + z dx) /
+    (lambda_x - lambda_z), day alike."""
     points, covs, step, order, lo, hi = group
     x0, x1, x2 = frame[0, 0], frame[1, 0], frame[2, 0]
     y0, y1, y2 = frame[0, 1], frame[1, 1], frame[2, 1]

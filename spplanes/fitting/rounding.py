@@ -23,10 +23,8 @@ from spplanes._check import FloatArray
 def with_rounding(
     covariances: FloatArray, noise: FloatArray, points: FloatArray, frames: FloatArray, seen: FloatArray
 ) -> FloatArray:
-    """The covariances (P, 3, 3) with what rounded coordinates leave as a common error; as given without any.
-
-    ``noise`` are the same by the stated noise alone, ``seen`` (P,) the variances of the points about their planes, m^2.
-    """
+    """The covariances (P, 3, 3) with what rounded coordinates leave as a common error; as given without any. ``noise``
+    are the same by the stated noise alone, ``seen`` (P,) the variances of the points about their planes, m^2."""
     steps = coordinate_steps(points)
     if not steps.any():
         return covariances

@@ -46,10 +46,8 @@ def at_seams(
 
 def placed(points: FloatArray, covariance: FloatArray, labels: np.ndarray, frames: FloatArray) -> FloatArray:
     """Points as far from their planes as they are, at the places where their beams meet these, shape (S, B, 3), m.
-
     Noise along a slanted beam takes a point along the plane as well, the farther the farther it lies off: the plane of
-    least squares turns by the mean of sigma^2 sin cos over the square of their spread. Arguments as of `at_seams`.
-    """
+    least squares turns by the mean of sigma^2 sin cos over the square of their spread. Arguments as of `at_seams`."""
     moved, grid = points.copy(), (points, covariance, np.ascontiguousarray(labels, dtype=np.int64))
     in_parts(lambda a, b: _move_rows(grid, _hesse(frames), a, b, moved), len(labels), labels.size)
     return moved
@@ -57,9 +55,7 @@ def placed(points: FloatArray, covariance: FloatArray, labels: np.ndarray, frame
 
 def along_beams(points: FloatArray, eyes: FloatArray) -> FloatArray:
     """Covariances of noise of 1 m along the beams from eyes (S, B, 3) or (S, 1, 3) to points (S, B, 3): (S, B, 9).
-
-    There is a hundredth across: what beams that graze a plane read is not their range's noise alone.
-    """
+    There is a hundredth across: what beams that graze a plane read is not their range's noise alone."""
     beams = points - eyes
     beams /= np.maximum(np.linalg.norm(beams, axis=2, keepdims=True), 1e-12)
     return (beams[..., :, None] * beams[..., None, :] + 0.01 * np.eye(3)).reshape(*points.shape[:2], 9)
@@ -75,9 +71,7 @@ def _neighbours(
     frames: FloatArray, planes: FloatArray, boxes: FloatArray, margins: FloatArray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Planes that look another way and come near, to margins (R,), m; those of r are others[first[r]:first[r + 1]].
-
-    ``planes`` are (normal, d), ``boxes`` the (x, y) from and to in their frames, (R, 4) both.
-    """
+    ``planes`` are (normal, d), ``boxes`` the (x, y) from and to in their frames, (R, 4) both."""
     x, y = boxes[:, [0, 2, 2, 0]], boxes[:, [1, 1, 3, 3]]
     held = np.asarray(np.isfinite(x).all(axis=1))
     x, y = np.where(held[:, None], x, 0.0), np.where(held[:, None], y, 0.0)

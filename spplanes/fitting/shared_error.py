@@ -236,10 +236,7 @@ def _of_planes(
     values: FloatArray, squares: FloatArray, least: float, most: bool, n_planes: int
 ) -> tuple[float, FloatArray]:
     """tau^2 of the median plane, and of each of those that are asked, (P,), m^2, by their contrasts
-    (`_Patches._contrasts`).
-
-    ``most``: whether all ``n_planes`` together hint at more than the ``least``.
-    """
+    (`_Patches._contrasts`). ``most``: whether all ``n_planes`` together hint at more than the ``least``."""
     values = _longer_half(values)
     if not values.any():
         return least, np.full(len(values), least)

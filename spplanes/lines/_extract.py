@@ -131,10 +131,8 @@ def is_line(beams, members, counts, line, rules):
 def extract(
     ranges: FloatArray, angles: FloatArray, sigmas: FloatArray, rules: Rules
 ) -> tuple[FloatArray, np.ndarray, np.ndarray]:
-    """Lines of one scan, the beams on them one line after the other, and their counts.
-
-    Lines are rows (M, 12): alpha, rho, chi2, dof, covariance (4), end points (4).
-    """
+    """Lines of one scan, the beams on them one line after the other, and their counts. Lines are rows (M, 12): alpha,
+    rho, chi2, dof, covariance (4), end points (4)."""
     numbers = tuple(rules)  # named, they would cost each call from Python as much as half a scan
     order, widest, step = order_beams(ranges, angles, rules.range_min, rules.range_max)
     scan, moments, breaks, max_step = order_scan(ranges, angles, sigmas, order, step, numbers)

@@ -64,11 +64,9 @@ def start_line(moments, members):
 
 @inlined
 def normal_equations(beams, members, alpha, rho):
-    """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2.
-
-    J is the derivative of the range rho / cos(a - alpha) by (alpha, rho): (-rho sin / cos^2, 1 / cos). Cosines and
-    sines are those of the bearings; those of a - alpha follow without another call for every beam.
-    """
+    """Of the range residuals e: information sum J J^T / sigma^2 (3 entries), gradient sum J e / sigma^2 (2), chi2. J is
+    the derivative of the range rho / cos(a - alpha) by (alpha, rho): (-rho sin / cos^2, 1 / cos). Cosines and sines are
+    those of the bearings; those of a - alpha follow without another call for every beam."""
     cosines, sines, ranges, sigmas = beams.cosines, beams.sines, beams.ranges, beams.sigmas
     i00 = i01 = i11 = g0 = g1 = chi2 = 0.0
     nx, ny = np.cos(alpha), np.sin(alpha)
@@ -157,10 +155,8 @@ def grow(beams, breaks, labels, members, line, gate):
 
 @inlined
 def turning(beams, members, line):
-    """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation.
-
-    The second-order coefficient of the normal residual over 1, t, t^2 with t in [-1, 1] is the sagitta.
-    """
+    """Angle, rad, by which the beams turn from end to end if they are an arc, and its standard deviation. The second-
+    order coefficient of the normal residual over 1, t, t^2 with t in [-1, 1] is the sagitta."""
     alpha, rho = line[0], line[1]
     bearings, cosines, sines = beams.bearings, beams.cosines, beams.sines
     first, last = rho * np.tan(bearings[members[0]] - alpha), rho * np.tan(bearings[members[-1]] - alpha)

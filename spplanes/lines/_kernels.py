@@ -153,11 +153,9 @@ def find_breaks(beams, max_step, gate):
 
 @inner(cache=True)
 def best_split(moments, low, high, cost):
-    """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line).
-
-    Into `cost`, scratch of `high` floats, goes chi2 plus PARAMETER_COST for each parameter used: without it two beams,
-    which some line always fits, would leave the longer piece for nothing.
-    """
+    """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line). Into
+    `cost`, scratch of `high` floats, goes chi2 plus PARAMETER_COST for each parameter used: without it two beams, which
+    some line always fits, would leave the longer piece for nothing."""
     cc = cs = ss = cq = sq = qq = before = 0.0  # scalars: an array of six sums would be written back at every beam
     for k in range(low, high):
         cost[k] = before + PARAMETER_COST * min(2, k - low)

@@ -11,10 +11,8 @@ from spplanes.lines._kernels import N_SUMS, fit_sums, sum_of
 @inner(cache=True)
 def add_flatness(line, first, last, flatness):
     """A line (alpha, rho, var alpha, cov, var rho) of a wall straight to `flatness` (rms) from bearing first to last.
-
     The shift at its middle varies by flatness, its direction by sqrt(12) flatness / length: what a deviation of that
-    size, as large at one end as at the other, does to the fitted line.
-    """
+    size, as large at one end as at the other, does to the fitted line."""
     alpha, rho, v_alpha, cov, v_rho = line
     a, b = rho * np.tan(first - alpha), rho * np.tan(last - alpha)
     middle, turn = 0.5 * (a + b), 12.0 * (flatness / (b - a)) ** 2

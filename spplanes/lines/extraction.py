@@ -228,10 +228,8 @@ def _with_shared_error(
     rows: FloatArray, support: np.ndarray, counts: np.ndarray, beams: FloatArray, config: LineConfig
 ) -> FloatArray:
     """Covariances of (alpha, rho) of lines with the noise and the shared error that residuals show, shape (M, 2, 2).
-
     The mechanism is that of planes: a line is a plane whose points have no height. What is stated is a lower bound: the
-    noise by the covariances of the lines, see `extract`, the shared error by `LineConfig.flatness`.
-    """
+    noise by the covariances of the lines, see `extract`, the shared error by `LineConfig.flatness`."""
     seen = _Residuals.of(rows, support, counts, beams, config)
     frames = np.tile(np.eye(4), (len(rows), 1, 1))
     found = shared_error_of(seen.points, seen.variances[:, None], seen.line, frames, seen.covariances, stated=True)
@@ -246,12 +244,9 @@ def _with_shared_error(
 def _add_unevenness(
     covariances: FloatArray, flatness: float, first: FloatArray, last: FloatArray, shown: FloatArray
 ) -> None:
-    """Add to covariances (M, 2, 2), in place, what residuals do not show of the unevenness that walls are stated to
-    have.
-
-    A wall shifts by the flatness, m, and turns by sqrt(12) / length of it about the middle between first and last,
-    (M,), m; ``shown`` (M, 2) are the variances of shift and direction by the shared error that residuals show.
-    """
+    """Add to covariances (M, 2, 2), in place, what residuals do not show of the unevenness that is stated of walls. A
+    wall shifts by the flatness, m, and turns by sqrt(12) / length of it about the middle between first and last, (M,),
+    m; ``shown`` (M, 2) are the variances of shift and direction by the shared error that residuals show."""
     stated = np.stack((np.full(len(first), flatness**2), 12.0 * (flatness / np.abs(last - first)) ** 2), axis=-1)
     left = np.maximum(stated - shown, 0.0)
     by_turn = np.stack((np.ones(len(first)), 0.5 * (last + first)), axis=-1)

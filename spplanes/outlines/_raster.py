@@ -43,12 +43,9 @@ def onto_planes(frames: FloatArray, cells: FloatArray) -> FloatArray:
 def draw(points, labels, projections):
     """Rasters of all regions: the cells whose centres lie in a triangle of neighbouring points of one region.
 
-    `projections` (R, 2, 4) take points to raster coordinates in cells; what is too large is scaled down in place.
-
-    Returns:
-        All rasters behind each other, bool, each with a frame of empty cells around it; where each begins, (R + 1,);
-        raster
-        coordinates of its first cell, (R, 2); its cells along both axes, (R, 2), 0 where a region has no point.
+    `projections` (R, 2, 4) take points to raster coordinates in cells; what is too large is scaled down in place. Given
+    back are all rasters behind each other, bool, each with a frame of empty cells around it; where each begins, (R +
+    1,); raster coordinates of its first cell, (R, 2); its cells along both axes, (R, 2), 0 where a region has no point.
     """
     flat, found = np.empty((*labels.shape, 2)), []
     project = partial(_project, points, labels, projections, flat)

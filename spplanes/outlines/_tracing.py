@@ -11,9 +11,7 @@ from spplanes._jit import inlined, njit
 
 def rings_around(filled: np.ndarray) -> tuple[FloatArray, np.ndarray]:
     """Rings around the filled cells, vertices (V, 2) in cells and the end of every ring (R,); the first is the shell.
-
-    `filled`, (I, J) bool, of which something is, has an empty frame around it; it is changed in place.
-    """
+    `filled`, (I, J) bool, of which something is, has an empty frame around it; it is changed in place."""
     filled = _one_part(filled)
     return _few(*_trace(filled, np.count_nonzero(filled)))
 
@@ -83,11 +81,9 @@ def _few(vertices, ends):
 
 @njit(cache=True)
 def _trace(filled, n_cells):
-    """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring.
-
-    Every side of a filled cell is walked once with the cell on its left; the direction of a walk is 0: +j, 1: -i,
-    2: -j, 3: +i. The first ring found is the shell of a part.
-    """
+    """Rings around the filled cells, corners only: vertices (V, 2) and the end of every ring. Every side of a filled
+    cell is walked once with the cell on its left; the direction of a walk is 0: +j, 1: -i, 2: -j, 3: +i. The first ring
+    found is the shell of a part."""
     n_i, n_j = filled.shape
     seen = np.zeros((n_i, n_j), dtype=np.bool_)  # sides walked in direction 2, of which every ring has one
     vertices = np.empty((4 * n_cells + 1, 2))

@@ -157,10 +157,8 @@ def lift(points: FloatArray, transform: FloatArray) -> FloatArray:
 
 
 def settle_frames(frames: FloatArray, normals: FloatArray, distances: FloatArray) -> FloatArray:
-    """Plane frames (N, 4, 4), moved the shortest way onto the planes of normals (N, 3) and Hesse distances (N,).
-
-    x keeps its direction as far as it can; the origin is projected.
-    """
+    """Plane frames (N, 4, 4), moved the shortest way onto the planes of normals (N, 3) and Hesse distances (N,). x
+    keeps its direction as far as it can; the origin is projected."""
     x_axes = frames[:, :3, 0] - normals * np.einsum("ni,ni->n", normals, frames[:, :3, 0])[:, None]
     x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
     settled = np.tile(np.eye(4), (len(frames), 1, 1))

@@ -78,12 +78,9 @@ def _groups_of(groups: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.n
 
 @njit(cache=True)
 def _hulls_of_groups(points, order, bounds, region, projections, directions, corners):
-    """Corners (G, CORNERS, 2) of the hulls of groups of points, each wider by half the distance of its points, in
-    place.
-
-    Points of group g are order[bounds[g]:bounds[g + 1]]; of its region, `region` (G,), the projection (R, 2, 4) takes
-    points to raster coordinates in cells; directions are unit vectors in the order of their angles.
-    """
+    """Corners (G, CORNERS, 2) of the hulls of groups of points, each wider by half the distance of its points. Points
+    of group g are order[bounds[g]:bounds[g + 1]]; of its region, `region` (G,), the projection (R, 2, 4) takes points
+    to raster coordinates in cells; directions are unit vectors in the order of their angles."""
     support = np.empty(CORNERS)
     for g in range(region.shape[0]):
         p, n = projections[region[g]], bounds[g + 1] - bounds[g]
@@ -173,10 +170,8 @@ def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatAr
 
 
 def _polygons(rings: list[tuple[FloatArray, np.ndarray]]) -> list[Polygon]:
-    """Polygons of rings, each their vertices behind each other and where every ring ends; all made at once.
-
-    Those that simplification has made cross themselves are mended.
-    """
+    """Polygons of rings, each their vertices behind each other and where every ring ends; all made at once. Those that
+    simplification has made cross themselves are mended."""
     if not rings:
         return []
     counts = np.concatenate([np.diff(ends, prepend=0) for _, ends in rings])

@@ -13,7 +13,7 @@ from spplanes.fitting.rounding import coordinate_steps
 from spplanes.plane import Plane
 from spplanes.segmentation.cloud_search import CloudSearch, Found
 from spplanes.segmentation.config import MapperConfig, ValidationConfig
-from spplanes.segmentation.planes import means_of
+from spplanes.segmentation.sheet import means_of
 from spplanes.segmentation.validation.one_plane import could_be_seen
 
 _DEFAULT = MapperConfig()

@@ -16,17 +16,9 @@ from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
 from spplanes.segmentation.clustering.growing import hesse
 from spplanes.segmentation.config import MapperConfig
-from spplanes.segmentation.planes import (
-    FittedPlanes,
-    cells_of,
-    fit_labelled,
-    means_of,
-    moments_of,
-    or_rectangles,
-    outlines_in,
-)
+from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, moments_of, or_rectangles, outlines_in
 from spplanes.segmentation.scans import label_scans
-from spplanes.segmentation.sheet import renumbered
+from spplanes.segmentation.sheet import means_of, renumbered
 from spplanes.segmentation.unordered import label_curve
 
 
@@ -79,9 +71,7 @@ class CloudSearch:
     @property
     def is_linked(self) -> bool:
         """Whether the returns of a grid mostly lie beside others, along rows and along columns, farther than they err.
-
-        Where noise is wider than that, the returns beside one are not those that are nearest to it.
-        """
+        Where noise is wider than that, the returns beside one are not those that are nearest to it."""
         if not are_linked(self.seen):
             return False
         grid, curve, _, variances = self._grid
@@ -91,10 +81,8 @@ class CloudSearch:
         return all(_errs_by_less(np.moveaxis(grid, axis, 0), np.moveaxis(sigmas, axis, 0)) for axis in (0, 1))
 
     def of_points(self, normals: FloatArray | None, *, placed: bool) -> Found:
-        """Planes of points, as if without order, that turn to the normals (N, 3) or, of None, to their eyes.
-
-        `placed`: whether the eyes are where the cloud was seen from, or a guess that normals make needless.
-        """
+        """Planes of points, as if without order, that turn to the normals (N, 3) or, of None, to their eyes. `placed`:
+        whether the eyes are where the cloud was seen from, or a guess that normals make needless."""
         origin = self.points[self.seen].mean(axis=0)  # far from the origin nothing is lost
         origin = np.round(origin / 1024.0) * 1024.0
         used, eyes = self.points[self.seen] - origin, self.eyes[self.seen] - origin
@@ -170,11 +158,9 @@ class CloudSearch:
 def _fitting_variances(
     law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
 ) -> FloatArray:
-    """For covariances, (S, B), m^2: of points by how far their planes are along their beams, 1 of no return (NaN).
-
-    By where a point was measured, alone or with its neighbours, those measured too short would weigh more. Beams meet
-    their planes at most twice as far, or half as far, as their points are. `eyes`: shape (S, B, 3) or (3,), m.
-    """
+    """For covariances, (S, B), m^2: of points by how far their planes are along their beams, 1 of no return (NaN). By
+    where a point was measured, alone or with its neighbours, those measured too short would weigh more. Beams meet
+    their planes at most twice as far, or half as far, as their points are. `eyes`: shape (S, B, 3) or (3,), m."""
     here = np.isfinite(points[..., 0])
     away = points - eyes
     ranges = np.linalg.norm(away, axis=-1)
@@ -196,10 +182,8 @@ def _errs_by_less(grid: FloatArray, sigmas: FloatArray) -> bool:
 
 
 def _largest_first(labels: np.ndarray, counted: np.ndarray | None = None, fewest: int = 1) -> np.ndarray:
-    """The same regions, those with most points first; of equal ones the one that comes first.
-
-    Of points that are `counted`, bool, all if None; regions of fewer than `fewest` are left out.
-    """
+    """The same regions, those with most points first; of equal ones the one that comes first. Of points that are
+    `counted`, bool, all if None; regions of fewer than `fewest` are left out."""
     held = labels >= 0 if counted is None else counted & (labels >= 0)
     counts = np.bincount(labels[held], minlength=int(labels.max(initial=0)) + 1)
     order = np.argsort(-counts, kind="stable")
@@ -219,10 +203,8 @@ def _by_side(eyes: FloatArray, labels: np.ndarray, planes: FloatArray, fewest: i
 def _ahead_of(
     points: FloatArray, normals: FloatArray, labels: np.ndarray, n_planes: int
 ) -> tuple[FloatArray, np.ndarray]:
-    """Where normals (N, 3) of the points of every plane point to, (n_planes, 3), m; and whether to one side.
-
-    Where their mean is shorter than one half, they point both ways.
-    """
+    """Where normals (N, 3) of the points of every plane point to, (n_planes, 3), m; and whether to one side. Where
+    their mean is shorter than one half, they point both ways."""
     lengths = np.linalg.norm(normals, axis=1)
     usable = np.isfinite(lengths) & (lengths > 0.0)
     units = normals / np.where(usable, lengths, 1.0)[:, None]

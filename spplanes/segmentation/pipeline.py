@@ -129,10 +129,8 @@ def _literal_chi2(points, covariance, i, j, k, m):
 @njit(cache=True)
 def _link_rows(grid, views, rule, linked, first, last):
     """Whether points of the rows from first to last lie on one surface with their neighbours: to the right, below.
-
     `rule`: tangent of the steepest incidence at which a surface is still expected; largest chi2, of 1 degree of freedom
-    or 3; whether to test the whole displacement, as the paper prints it, and not the jump in depth.
-    """
+    or 3; whether to test the whole displacement, as the paper prints it, and not the jump in depth."""
     (points, covariance, valid), (tangent, limit, literal) = grid, rule
     n_rows, n_cols = valid.shape
     for i in range(first, last):

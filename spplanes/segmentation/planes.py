@@ -58,13 +58,8 @@ def planes_of(
     poses: tuple[FloatArray, FloatArray] | None,
     config: MapperConfig,
 ) -> list[Plane]:
-    """The planes of a labelled grid.
-
-    Args:
-        views: viewpoint of every row, shape (S, 3), m, or None for d >= 0.
-        poses: pose covariances (S, 6, 6) and the points they turn about (S, 3), or None.
-        config: outlines and the least shared error.
-    """
+    """The planes of a labelled grid; `views` None: d >= 0; `poses`: pose covariances (S, 6, 6) and the points they turn
+    about (S, 3), or None; of `config` outlines and the least shared error."""
     eyes = _eyes(labels, int(labels.max(initial=-1)) + 1, views)
     seen_from = None if views is None else views[:, None]
     fitted = fit_labelled(points, covariance, labels, eyes, config, views=seen_from, poses=poses)
@@ -82,13 +77,9 @@ def fit_labelled(
     poses: tuple[FloatArray, FloatArray] | None = None,
     stated: bool = True,
 ) -> FittedPlanes:
-    """Planes of labelled points with all that their errors share; see `planes_of`.
-
-    Args:
-        eyes: where each plane was seen from, shape (R, 3), m; NaN for d >= 0.
-        views: where the points were, shape (S, B, 3) or (S, 1, 3), m; None: nobody knows.
-        stated: whether the covariance is a lower bound, or a guess that residuals may lower.
-    """
+    """Planes of labelled points with all that their errors share, each seen from `eyes` (R, 3), m, NaN for d >= 0;
+    `views` are (S, B, 3) or (S, 1, 3), m, or None: nobody knows. If not `stated`, residuals may lower the
+    covariance."""
     if not len(eyes):
         none = np.empty(0)
         return FittedPlanes(np.empty((0, 4, 4)), np.empty((0, 2)), np.empty((0, 3, 3)), none, none, 0.0, 1.0)
@@ -169,14 +160,6 @@ def shares_of(labels: np.ndarray, n_regions: int) -> np.ndarray:
     """Number of points of every region in every row of labels (S, B), shape (S, n_regions)."""
     codes = (labels + np.arange(len(labels))[:, None] * n_regions)[labels >= 0]
     return np.bincount(codes, minlength=len(labels) * n_regions).reshape(len(labels), n_regions)
-
-
-def means_of(values: FloatArray, labels: np.ndarray, n_regions: int) -> FloatArray:
-    """Mean of values (N, 3) of the points of every region, labels (N,), shape (n_regions, 3)."""
-    held = labels >= 0
-    counts = np.maximum(np.bincount(labels[held], minlength=n_regions), 1)
-    sums = [np.bincount(labels[held], values[held, k], minlength=n_regions) for k in range(3)]
-    return np.stack(sums, axis=1) / counts[:, None]
 
 
 def frames_of(rows: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArray]:

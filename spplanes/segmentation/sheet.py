@@ -114,3 +114,11 @@ def renumbered(labels: np.ndarray, kept: np.ndarray | list[int], n_regions: int)
     number = np.full(n_regions + 1, -1, dtype=np.int64)
     number[kept] = np.arange(len(kept))
     return number[labels]
+
+
+def means_of(values: FloatArray, labels: np.ndarray, n_regions: int) -> FloatArray:
+    """Mean of values (N, 3) of the points of every region, labels (N,), shape (n_regions, 3)."""
+    held = labels >= 0
+    counts = np.maximum(np.bincount(labels[held], minlength=n_regions), 1)
+    sums = [np.bincount(labels[held], values[held, k], minlength=n_regions) for k in range(3)]
+    return np.stack(sums, axis=1) / counts[:, None]

@@ -22,11 +22,9 @@ from spplanes.segmentation.sheet import is_determined, is_plane, renumbered
 
 
 def label_curve(curve: Curve, variances: FloatArray, octave_m: float, config: MapperConfig) -> np.ndarray:
-    """The plane of every point of a curve, shape (N,), -1 = none, by their variances (N,), m^2.
-
-    What surfaces wander from planes by is found with them: the search starts again, once, with the points that fit no
-    plane and with the shared error that planes have shown, `octave_m` at least (see `spplanes.fitting.shared_error`).
-    """
+    """The plane of every point of a curve, shape (N,), -1 = none, by their variances (N,), m^2. What surfaces wander
+    from planes by is found with them: the search starts again, once, with the points that fit no plane and with the
+    shared error that planes have shown, `octave_m` at least (see `spplanes.fitting.shared_error`)."""
     state: _Labelling | None = None
     for _ in range(2):
         free = np.ones(len(variances), dtype=bool) if state is None else state.labels < 0
@@ -81,10 +79,8 @@ class _Labelling:
         self.rows = np.concatenate((self.rows, rows[kept]))
 
     def spread(self) -> None:
-        """Every point finds its plane, planes are fitted again, and fuse where they are one; until they rest.
-
-        They grow by a cell a step, and rest when fewer than one in a thousand points change their plane.
-        """
+        """Every point finds its plane, planes are fitted again, and fuse where they are one; until they rest. They grow
+        by a cell a step, and rest when fewer than one in a thousand points change their plane."""
         for _ in range(12):
             if not len(self.rows):
                 return

@@ -30,11 +30,9 @@ def one_plane_chi2(a, b, bias, work):
 
 @inlined
 def step_chi2(a, b, tolerance, work):
-    """Chi2 (1 dof) of the step between two parallel planes, one through each of two rows of moments.
-
-    Two planes that are free to tilt meet each other half way, where a large and a small one or two small ones meet; if
-    both have the tilt of all points together, the step is what it is. `tolerance` is the variance it may have, m^2.
-    """
+    """Chi2 (1 dof) of the step between two parallel planes, one through each of two rows of moments. Two planes that
+    are free to tilt meet each other half way, where a large and a small one or two small ones meet; if both have the
+    tilt of all points together, the step is what it is. `tolerance` is the variance it may have, m^2."""
     merge_scaled(work, a, 1.0, b, 1.0)
     one = eigenvalues(work)[0]
     for k in range(5, 11):
@@ -89,17 +87,12 @@ def _fuse(rows, bias, a, b, work):
 
 @njit(cache=True)
 def cluster(rows, bias, edges, limits, flatness, correlation):
-    """Fuse patches along edges (E, 2), the pair with the smallest mean distance to its common plane first.
+    """Root (N,) of every patch: they fuse along edges (E, 2), the pair with the least mean distance to its plane first.
 
-    Args:
-        rows: on return the row of a root holds the sum of its tree.
-        bias: variance along the normal that a patch shares with its scans, m^2, and mean scan: (N, 2); kept up to date.
-        limits: largest chi2 at which two patches are one plane: of the step between them (1 dof), of both (3 dof).
-        flatness: deviation from a plane that every patch is granted, m.
-        correlation: scans over which errors shared with scans change.
-
-    Returns:
-        Root of every patch, shape (N,). The keys in the heap are brought up to date when they come to its top.
+    On return the rows of a root, and its `bias`, the variance along the normal that it shares with its scans, m^2, and
+    its mean scan, (N, 2), are those of its tree. `limits` are the largest chi2 at which two patches are one plane: of
+    the step between them (1 dof), of both (3 dof); `flatness`, m, is granted to every patch, errors shared with scans
+    change over `correlation` scans. The keys in the heap are brought up to date when they come to its top.
     """
     parent = np.arange(rows.shape[0])
     version, stamp = np.zeros(rows.shape[0], dtype=np.int64), np.zeros(edges.shape[0], dtype=np.int64)

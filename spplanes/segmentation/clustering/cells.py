@@ -19,11 +19,8 @@ STEP_SHARE = 0.1
 
 
 def cell_moments(points, covariance, free, size, floor_variance):
-    """Moments of the free points, (S, B) bool, of every cell that is filled, weighted along the cell's own normal, (R,
-    C, 11).
-
-    Cells are squares of `size` points; `floor_variance`, m^2, is added to the variance of every point.
-    """
+    """Moments (R, C, 11) of the free points, (S, B) bool, of every cell that is filled, a square of `size` points,
+    weighted along its own normal; `floor_variance`, m^2, is added to the variance of every point."""
     n_rows, n_cols = (points.shape[0] + size - 1) // size, (points.shape[1] + size - 1) // size
     rows = np.zeros((n_rows, n_cols, ROW_SIZE))
     in_parts(partial(_moments_of, rows, (points, covariance, free, size, floor_variance)), n_rows, free.size)
@@ -158,11 +155,9 @@ def _reject_in(planar, cells, rows, limit, first, last):
 
 @inner(cache=True)
 def _step_chi2(strips, total, tolerance):
-    """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step.
-
-    Of `strips` sums of w, w u, w v, w r each, (STRIPS, 4), of all `total` w u u, w u v, w v v, w r u, w r v; a step may
-    have the variance `tolerance`, m^2, anyway.
-    """
+    """Largest chi2 (1 dof) of a step between strips, beside a linear trend: weighted regression, step by step. Of
+    `strips` sums of w, w u, w v, w r each, (STRIPS, 4), of all `total` w u u, w u v, w v v, w r u, w r v; a step may
+    have the variance `tolerance`, m^2, anyway."""
     w = u = v = r = 0.0
     for k in range(strips.shape[0]):
         w, u, v, r = w + strips[k, 0], u + strips[k, 1], v + strips[k, 2], r + strips[k, 3]
@@ -203,11 +198,8 @@ def shared_variances(rows, shared, free, planar, size, start):
 
 @njit(cache=True)
 def cell_edges(node, labels, start, size):
-    """Pairs (E, 2) of neighbouring nodes: cells beside cells, and cells beside regions labelled already.
-
-    Planar cells have the numbers `node`, (R, C), -1 = none, after those of regions; they begin at row `start` of the
-    labels.
-    """
+    """Pairs (E, 2) of neighbouring nodes: cells beside cells, and cells beside regions labelled already. Planar cells
+    have the numbers `node`, (R, C), -1 = none, after those of regions; they begin at row `start` of the labels."""
     n_rows, n_cols = node.shape
     edges = np.empty((n_rows * n_cols * (2 + 4 * size), 2), dtype=np.int64)
     count = 0

@@ -88,10 +88,8 @@ def shared_of_regions(shared, labels, planes):
 
 
 def grow(grid, planes, gate, floor_variance):
-    """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place.
-
-    Of the grid (see `Sheet.grid`), rows before the start stay as they are; regions grow out of the last of them.
-    """
+    """Spread regions over unlabelled points beside them that lie within the gate (chi2), ring by ring, in place. Of the
+    grid (see `Sheet.grid`), rows before the start stay as they are; regions grow out of the last of them."""
     _, _, valid, labels, start = grid
     free = valid & (labels < 0)
     free[:start] = False

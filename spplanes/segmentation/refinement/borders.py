@@ -10,12 +10,9 @@ from spplanes.fitting._moment_patches import distance_of, residual_chi2, varianc
 
 @njit(cache=True)
 def choose_blocks(grid, planes, gate, floor_variance, size):
-    """Move the points that a region has in a square block to the neighbouring region that explains them better; how
-    many.
-
-    One point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place. They
-    stay below a chi2 of 9 of their mean distance, and where no other region explains them better by a chi2 of 4.
-    """
+    """Move the points that a region has in a square block to the neighbour that explains them better; how many. One
+    point's noise may be wider than the step between two planes; that of a block is not. One sweep, in place. They stay
+    below a chi2 of 9 of their mean distance, and where no other region explains them better by a chi2 of 4."""
     _, _, _, labels, start = grid
     found, sums, moved = np.empty(8, dtype=np.int64), np.empty(8), 0  # so many regions around a block are looked at
     for i0 in range(start, labels.shape[0], size):

@@ -157,11 +157,9 @@ def _sum_along(values, labels, reach, result):
 
 @njit(cache=True)
 def split_regions(labels, start, n_regions):
-    """Give every connected part of a region, in place, a number of its own: the first n_regions are kept for those.
-
-    The part of a region that the rows before `start` hold keeps its number, all other parts but the first get new ones.
-    The region that every new number was part of is returned, shape (K,).
-    """
+    """Give every connected part of a region, in place, a number of its own: the first n_regions are kept for those. The
+    part of a region that the rows before `start` hold keeps its number, all other parts but the first get new ones. The
+    region that every new number was part of is returned, shape (K,)."""
     n_cols = labels.shape[1]
     done = np.zeros(labels.shape, dtype=np.bool_)
     taken = np.zeros(n_regions, dtype=np.bool_)

@@ -13,11 +13,9 @@ BLOCK = 4
 
 @njit(cache=True)
 def dissolve(grid, sizes, order, pairs, planes, floor_variance):
-    """Give the points of superfluous regions to their neighbours, in place; how many regions are dissolved.
-
-    `sizes` (R,) become 0 for those, `order` (R,) has the smallest first, `pairs` (E, 2) are near each other, each once.
-    Regions with points before the first row to work on stay; `floor_variance`, m^2, is added to that of every point.
-    """
+    """Give the points of superfluous regions to their neighbours, in place; how many regions are dissolved. `sizes`
+    (R,) become 0 for those, `order` (R,) has the smallest first, `pairs` (E, 2) are near each other, each once. Regions
+    with points before the first row to work on stay; `floor_variance`, m^2, is added to that of every point."""
     _, _, _, labels, start = grid
     members, first = _members(labels, start, sizes.shape[0])
     candidates, hosts = np.empty(sizes.shape[0], dtype=np.int64), np.empty(members.shape[0], dtype=np.int64)
@@ -100,10 +98,8 @@ def _members(labels, start, n_regions):
 @inlined
 def _is_superfluous(grid, mine, region, candidates, planes, floor_variance, hosts):
     """Whether the best candidate for every block, written to `hosts`, explains the points nearly as well as the region.
-
     A plane of its own must lower the mean chi2 of its points by 0.15, and the sum by what three parameters gain by
-    chance at 0.001. Points are explained in blocks of `BLOCK` * `BLOCK` members, one after another.
-    """
+    chance at 0.001. Points are explained in blocks of `BLOCK` * `BLOCK` members, one after another."""
     points, covariance, n_cols = grid[0], grid[1], grid[3].shape[1]
     limit = 0.15 * mine.shape[0] + 16.3
     for k in range(mine.shape[0]):

@@ -21,9 +21,7 @@ def is_one_plane(
     scan_index: np.ndarray | None = None,
 ) -> bool:
     """Whether points (N, 3) with covariances (N, 3, 3), what the plane was fitted to, lie about it as their noise says.
-
-    Patch by patch too. `scan_index` (N,) tells which points share the pose error of a scan.
-    """
+    Patch by patch too. `scan_index` (N,) tells which points share the pose error of a scan."""
     return (
         could_be_seen(plane, viewpoint, rules)
         and fits_its_noise(plane, rules)
@@ -56,9 +54,7 @@ class InPatches:
         drift_m: FloatArray | None = None,
     ) -> None:
         """For the arguments see `is_one_plane`. What all points of a scan share, its pose error, is taken out.
-
-        `drift_m`: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m.
-        """
+        `drift_m`: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m."""
         residuals, variances = along_normal(points, covariances, plane.frame)
         if scan_index is not None:
             residuals = residuals - _group_means(residuals, scan_index)[scan_index]
@@ -71,20 +67,15 @@ class InPatches:
     @cached_property
     def has_step(self) -> bool:
         """Whether some patch or strip lies off the plane by more than noise and unevenness: two surfaces as one.
-
         Averages over patches, and over strips right across the plane, see a step of 2 cm in noise of 15 mm long before
-        the chi2 of all points does, and hardly mind a noise level that is known to 10 % only.
-        """
+        the chi2 of all points does, and hardly mind a noise level that is known to 10 % only."""
         strips = (self._row, self._n_rows), (self._column, self._n_columns)
         return bool(self._off.any()) or any(self._strip_is_off(*strip) for strip in strips)
 
     def without_strays(self) -> np.ndarray | None:
         """Which points of the plane to keep, (N,): those that lie in no patch that strays, nor beside one; None where
-        none does.
-
-        A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there is
-        something else, of which the patches around have their share, and the floor is a plane without it.
-        """
+        none does. A floor of two thousand patches has one that strays by chance, or for a foot that stands on it: there
+        is something else, of which the patches around have their share, and the floor is a plane without it."""
         if not self._off.any():
             return None
         around = np.add.outer((-self._wide, 0, self._wide), (-1, 0, 1)).ravel()
@@ -105,10 +96,8 @@ def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:
 
 
 def patches_of(points: FloatArray, frame: FloatArray, side: float) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Row and column (N,) of the square patch of every point, from 0 on, int64, and how many of both there are.
-
-    The origin of the plane's frame is a corner of patches; those further out than 2^29 of their sides, m, are one.
-    """
+    """Row and column (N,) of the square patch of every point, from 0 on, int64, and how many of both there are. The
+    origin of the plane's frame is a corner of patches; those further out than 2^29 of their sides, m, are one."""
     x, y, z = (points - frame[:3, 3]).T
     row, column = (
         np.clip(np.floor((x * a + y * b + z * c) / side), -(2.0**29), 2.0**29).astype(np.int64)
@@ -139,11 +128,8 @@ def strays(
     least: float,
 ) -> np.ndarray:
     """Whether the weighted mean residual of each group (N,) is more than noise, drift and unevenness, shape
-    (n_groups,).
-
-    `residuals` and `variances` are along the plane's normal, m and m^2, `drift` (N,), or (0,) for none, the variance of
-    what a slow error shifts every point by. A mean may be so many `sigmas`, and `least`, m.
-    """
+    (n_groups,). `residuals` and `variances` are along the plane's normal, m and m^2, `drift` (N,), or (0,) for none,
+    the variance of what a slow error shifts every point by. A mean may be so many `sigmas`, and `least`, m."""
     weights, slow = 1.0 / variances, np.zeros(n_groups)
     total, moments = np.bincount(group, weights, n_groups), np.bincount(group, weights * residuals, n_groups)
     if len(drift):

@@ -11,7 +11,8 @@ from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 from spplanes.registration import RegisteredScans
 from spplanes.segmentation.config import ValidationConfig
-from spplanes.segmentation.planes import means_of, planes_of
+from spplanes.segmentation.planes import planes_of
+from spplanes.segmentation.sheet import means_of
 from spplanes.segmentation.validation.plane_ends import Window
 
 #: Largest chi2 (1 dof) of a step between two parts of one plane, the largest of some hundred cuts.
@@ -31,11 +32,9 @@ def purified(
     mapper: MapperConfig,
     rules: ValidationConfig,
 ) -> tuple[np.ndarray, list[Plane]]:
-    """Labels (S, B) and planes of a window, each of one plane; the same where each is one already.
-
-    `pose_covariances` are the joint ones of the scans' poses, (6 S, 6 S), in the order of the SPmodel, `uneven_m` the
-    standard deviation of surfaces from planes. Steps are twice what `rules` let patches lie off their plane, or more.
-    """
+    """Labels (S, B) and planes of a window, each of one plane; the same where each is one already. `pose_covariances`
+    are the joint ones of the scans' poses, (6 S, 6 S), in the order of the SPmodel, `uneven_m` the standard deviation
+    of surfaces from planes. Steps are twice what `rules` let patches lie off their plane, or more."""
     window = Window(placed.points, placed.covariances, pose_covariances)
     frames = [plane.frame for plane in planes]
     fresh = pure_labels(window, labels, frames, uneven_m, 2.0 * rules.step_m, mapper.for_rows(len(labels)))
@@ -53,10 +52,8 @@ def pure_labels(
     step_m: float,
     mapper: MapperConfig,
 ) -> np.ndarray:
-    """Labels (S, B) of the planes that those of `labels` really are; the very same array where nothing changes.
-
-    For `uneven_m` and `step_m` see `parts_of`; what is parted and is less than `mapper` says of a plane is none.
-    """
+    """Labels (S, B) of the planes that those of `labels` really are; the very same array where nothing changes. For
+    `uneven_m` and `step_m` see `parts_of`; what is parted and is less than `mapper` says of a plane is none."""
     fresh, count, parted = np.full_like(labels, -1), 0, False
     for r, frame in enumerate(frames):
         members = np.flatnonzero(labels == r)
@@ -115,10 +112,8 @@ def parts_of(
 
 def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: float, step_m: float) -> Cut:
     """What cuts a subset of the members best: which of the subset are beyond, and the chi2 (1 dof) of the step.
-
     Residuals are explained by a plane, by an offset of every scan, and by a step between the two sets. Sets are parted
-    between two scans, between two beams, or have a corner of the grid to themselves.
-    """
+    between two scans, between two beams, or have a corner of the grid to themselves."""
     scan, beam = np.divmod(members, window.points.shape[1])
     points, covariances = window.points.reshape(-1, 3)[members], window.covariances.reshape(-1, 3, 3)[members]
     place, residuals, weights = along_plane(points, covariances, frame)
@@ -159,12 +154,9 @@ def _rejoined(parts: list[np.ndarray], cut: Cut) -> list[np.ndarray]:
 
 @njit(cache=True)
 def _surest(row, column, place, left, weights, inverse, rule):
-    """Scans and beams, from and to, of the surest step that is left, and its chi2; see `_cutter`.
-
-    Corners are sought between 24 bands of beams, and must be surer by 7.4: there are forty times as many of them as of
-    straight cuts, and 2 log 40 is that. `rule`: variance of a step on one plane, for surfaces are not flat, m^2; the
-    least, m.
-    """
+    """Scans and beams, from and to, of the surest step that is left, and its chi2; see `_cutter`. Corners are sought
+    between 24 bands of beams, and must be surer by 7.4: there are forty times as many of them as of straight cuts, and
+    2 log 40 is that. `rule`: variance of a step on one plane, for surfaces are not flat, m^2; the least, m."""
     n_rows, n_columns = inverse.shape[0] - 3, column.max() + 1
     sums = np.zeros((n_rows, n_columns + 1, 5))
     for k in range(row.shape[0]):
@@ -241,9 +233,8 @@ def drift_of_scans(
     points: FloatArray, normal: FloatArray, scan: np.ndarray, pose_covariances: FloatArray
 ) -> FloatArray:
     """Covariance (S, S) of what the errors of the poses, (6 S, 6 S), shift the scans by along a plane's normal, m^2.
-
-    Points (N, 3) of one scan, `scan` (N,), are taken at their middle. A tenth of a millimetre is granted in any case.
-    """
+    Points (N, 3) of one scan, `scan` (N,), are taken at their middle. A tenth of a millimetre is granted in any
+    case."""
     n_scans = len(pose_covariances) // 6
     middles = means_of(points, scan, n_scans)
     levers = [np.cross(axis, middles) @ normal for axis in np.eye(3)[::-1]]
