@@ -61,7 +61,10 @@ class ScanLine:
             raise ValueError(f"rho: expected a finite distance >= 0, got {rho}")
         object.__setattr__(self, "alpha", alpha if -pi < alpha <= pi else wrap_angle(alpha))
         object.__setattr__(self, "rho", rho)
-        object.__setattr__(self, "indices", read_only(_as_indices(self.indices).copy()))
+        indices = np.asarray(self.indices)
+        if indices.ndim != 1 or (indices.dtype.kind not in "iu" and indices.size):
+            raise ValueError(f"indices: expected integers of shape (N,), got {indices.dtype} of shape {indices.shape}")
+        object.__setattr__(self, "indices", read_only(indices.astype(np.int64)))
         object.__setattr__(self, "endpoints", read_only(as_shape("endpoints", self.endpoints, (2, 2)).copy()))
         object.__setattr__(self, "covariance", read_only(as_covariance("covariance", self.covariance, 2)))
 
@@ -168,11 +171,3 @@ def wrap_angle(angle: float) -> float:
     """The same angle in (-pi, pi]."""
     wrapped = remainder(angle, 2.0 * pi)
     return pi if wrapped == -pi else wrapped
-
-
-def _as_indices(value: ArrayLike) -> np.ndarray:
-    """`value` as (N,) of int64."""
-    indices = np.asarray(value)
-    if indices.ndim != 1 or (indices.dtype.kind not in "iu" and indices.size):
-        raise ValueError(f"indices: expected integers of shape (N,), got {indices.dtype} of shape {indices.shape}")
-    return indices.astype(np.int64, copy=False)

@@ -212,6 +212,10 @@ class Plane:
 
         The outline is a list of rings of [x, y], the exterior first, then the holes, each closed.
         """
+        outline = None
+        if self.outline is not None and not self.outline.is_empty:
+            rings = self.outline.exterior, *self.outline.interiors
+            outline = [[[x, y] for x, y, *_ in ring.coords] for ring in rings]
         return {
             "normal": self.normal.tolist(),
             "d": self.d,
@@ -219,7 +223,7 @@ class Plane:
             "covariance": self.covariance.tolist(),
             "n_points": int(self.n_points),
             "chi2": float(self.chi2),
-            "outline": None if self.outline is None or self.outline.is_empty else _rings_of(self.outline),
+            "outline": outline,
         }
 
     @classmethod
@@ -277,11 +281,6 @@ def _check_agreement(frame: np.ndarray, data: dict[str, Any]) -> None:
         raise ValueError(f"normal: expected the frame's z axis {frame[:3, 2].tolist()}, got {normal.tolist()}")
     if abs(d - distance) > 1e-6 * max(1.0, float(np.abs(frame[:3, 3]).max())):
         raise ValueError(f"d: expected the frame's distance {distance}, got {d}")
-
-
-def _rings_of(outline: Polygon) -> list[list[list[float]]]:
-    """The rings of an outline, the exterior first."""
-    return [[[x, y] for x, y, *_ in ring.coords] for ring in (outline.exterior, *outline.interiors)]
 
 
 def _polygon(rings: Any) -> Polygon | None:

@@ -109,7 +109,11 @@ def register_scans(
         fold_pose: the paper's form: put the pose error into each point's own covariance, as if it were independent,
             and return no pose covariances.
     """
-    distances, directions = _beams(ranges, angles)
+    distances = as_shape("ranges", ranges, (None, None), finite=False)
+    directions = beam_directions(angles)
+    if distances.shape[1] != len(directions):
+        raise ValueError(f"ranges: expected {len(directions)} beams a scan, one per angle, got {distances.shape[1]}")
+    distances = np.where(np.isfinite(distances) & (distances > 0.0), distances, np.nan)
     poses = as_shape("world_T_body", world_T_body, (len(distances), 4, 4))
     mount = np.eye(4) if body_T_sensor is None else as_shape("body_T_sensor", body_T_sensor, (4, 4))
     sensors = poses @ mount
@@ -124,15 +128,6 @@ def register_scans(
         covariances = covariances + shared_by_scan(points, shared, origins).reshape(covariances.shape)
         shared = None
     return RegisteredScans(points, covariances, viewpoints, shared, origins)
-
-
-def _beams(ranges: ArrayLike, angles: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Ranges of scans, shape (S, B), m, NaN where there is no return, and the directions of their beams, (B, 3)."""
-    distances = as_shape("ranges", ranges, (None, None), finite=False)
-    directions = beam_directions(angles)
-    if distances.shape[1] != len(directions):
-        raise ValueError(f"ranges: expected {len(directions)} beams a scan, one per angle, got {distances.shape[1]}")
-    return np.where(np.isfinite(distances) & (distances > 0.0), distances, np.nan), directions
 
 
 def _shared(

@@ -191,21 +191,16 @@ def _angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])), np.arctan2(points[:, 1], points[:, 0])
 
 
-def _turns_of(points: FloatArray) -> FloatArray:
-    """Cosine of the angle from every point to the next as seen from the origin, shape (N - 1,)."""
-    x, y, z = points.T
-    length = np.sqrt(x * x + y * y + z * z)
-    along = x[1:] * x[:-1] + y[1:] * y[:-1] + z[1:] * z[:-1]
-    return np.clip(along / (length[:-1] * length[1:]), -1.0, 1.0)
-
-
 def _lines_of(points: FloatArray) -> FloatArray | None:
     """The lines that the order of the points shows, shape (S, B, 3); None where it shows none. A line starts where the
     beam turns by 20 deg and by ten of the usual steps. Lines are believed when there are eight at least, of eight
     points (median), and none is much longer."""
     if len(points) < 64:
         return None
-    cosines = _turns_of(points)
+    x, y, z = points.T
+    length = np.sqrt(x * x + y * y + z * z)
+    along = x[1:] * x[:-1] + y[1:] * y[:-1] + z[1:] * z[:-1]
+    cosines = np.clip(along / (length[:-1] * length[1:]), -1.0, 1.0)  # of the angle from every point to the next
     limit = max(0.35, 10.0 * float(np.arccos(np.median(cosines))))
     if limit >= np.pi:
         return None

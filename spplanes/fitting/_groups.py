@@ -166,20 +166,16 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
     if plain.status[0] != OK or job.shared is None:
         return
     if job.method == "sp":
-        term = sp_pose_term(job.points, job.covariances, job.shared, plain.frames[0], _sp_spread(job))
+        row, values, frame = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
+        start_row((job.points, job.covariances, job.step, np.arange(n), 0, n), 2, row)
+        row_frame(row, job.viewpoint, frame, values)
+        spread = np.array([row[1], values[2] - values[0], values[1] - values[0]])  # W, and lambda less lambda_z
+        term = sp_pose_term(job.points, job.covariances, job.shared, plain.frames[0], spread)
         fits.frames[g], fits.covariances[g], fits.chi2[g] = plain.frames[0], plain.covariances[0] + term, plain.chi2[0]
         return
     cloud = job.points, job.covariances, job.step
     fitted = fit_shared_pose(cloud, job.viewpoint, job.shared, plain.frames[0])
     fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fitted
-
-
-def _sp_spread(job: FitJob) -> FloatArray:
-    """W, lambda_x - lambda_z, lambda_y - lambda_z of the paper's fit, shape (3,)."""
-    row, values, frame = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
-    start_row((job.points, job.covariances, job.step, np.arange(len(job.points)), 0, len(job.points)), 2, row)
-    row_frame(row, job.viewpoint, frame, values)
-    return np.array([row[1], values[2] - values[0], values[1] - values[0]])
 
 
 def _inliers(job: FitJob) -> np.ndarray:

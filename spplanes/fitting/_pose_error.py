@@ -43,36 +43,25 @@ def accumulate(grid, regions, errors, total, running):
                 _add(moments[r], grid, i, j, regions, r, origins)
         for r in range(n_regions):
             if seen[r]:
-                _take_gain(moments, r, pose_roots, i, gain)
-                _close_scan(total[r], running[r], gain)
+                for a in range(4):  # the moments of the region times the root of the scan
+                    for k in range(6):
+                        gain[a, k] = 0.0
+                    for m in range(6):
+                        for k in range(6):
+                            gain[a, k] += moments[r, a, m] * pose_roots[i, m, k]
+                        moments[r, a, m] = 0.0
+                for a in range(4):
+                    for b in range(4):
+                        for k in range(6):
+                            both = gain[b, k] + running[r, k, b]
+                            total[r, a, b] += gain[a, k] * both + running[r, k, a] * gain[b, k]
+                for k in range(6):
+                    for a in range(4):
+                        running[r, k, a] += gain[a, k]
             for k in range(6):
                 for a in range(4):
                     running[r, k, a] *= decay
             seen[r] = False
-
-
-@inlined
-def _take_gain(moments, r, pose_roots, i, gain):
-    """Write the moments of a region times the root of a scan, (4, 6), and clear the moments."""
-    for a in range(4):
-        for k in range(6):
-            gain[a, k] = 0.0
-        for m in range(6):
-            for k in range(6):
-                gain[a, k] += moments[r, a, m] * pose_roots[i, m, k]
-            moments[r, a, m] = 0.0
-
-
-@inlined
-def _close_scan(total, running, gain):
-    """Add one scan's gain (4, 6) to D and, transposed, to the running sum."""
-    for a in range(4):
-        for b in range(4):
-            for k in range(6):
-                total[a, b] += gain[a, k] * (gain[b, k] + running[k, b]) + running[k, a] * gain[b, k]
-    for k in range(6):
-        for a in range(4):
-            running[k, a] += gain[a, k]
 
 
 @inlined

@@ -83,12 +83,6 @@ class SharedPose:
         """L by scan, shape (S, 6, M): xi_s = L_s u with u of unit covariance."""
         return self.roots.reshape(len(self.origins), 6, -1)
 
-    @property
-    def marginal_roots(self) -> FloatArray:
-        """Square roots of every scan's own covariance, shape (S, 6, 6)."""
-        roots = self.roots_by_scan
-        return roots if roots.shape[2] == 6 else _square_roots(roots @ roots.transpose(0, 2, 1))
-
 
 def _pose_covariances(value: ArrayLike) -> FloatArray:
     """Covariances (S, 6, 6), one for each scan, or the joint one of all scans as (1, 6 S, 6 S)."""
@@ -232,5 +226,8 @@ def sp_pose_term(
 def with_pose_errors(points: FloatArray, covs: FloatArray, shared: SharedPose) -> FloatArray:
     """Covariances of points with their scan's pose error folded in, shape (N, 3, 3): to judge single points by."""
     arms = (points - shared.origins[shared.scan])[:, None]
-    half = levers(np.eye(3), arms) @ shared.marginal_roots[shared.scan]
+    roots = shared.roots_by_scan
+    if roots.shape[2] != 6:  # those of every scan's own covariance
+        roots = _square_roots(roots @ roots.transpose(0, 2, 1))
+    half = levers(np.eye(3), arms) @ roots[shared.scan]
     return covs + half @ half.transpose(0, 2, 1)

@@ -237,7 +237,10 @@ def _of_planes(
 ) -> tuple[float, FloatArray]:
     """tau^2 of the median plane, and of each of those that are asked, (P,), m^2, by their contrasts
     (`_Patches._contrasts`). ``most``: whether all ``n_planes`` together hint at more than the ``least``."""
-    values = _longer_half(values)
+    # Of the contrasts, ascending, those of the longer waves alone: of a real wall the octaves next to it tell most of
+    # what turns it, and short ones, which are many, would speak louder. The others are as of those that tell nothing.
+    longer = np.arange(values.shape[1])[::-1]
+    values = np.where(2 * longer < np.count_nonzero(values, axis=1)[:, None], values, 0.0)
     if not values.any():
         return least, np.full(len(values), least)
     taus = np.maximum(_MULTIPLES / values.max(), least)
@@ -274,14 +277,6 @@ def _populations() -> FloatArray:
     off = np.log(_MULTIPLES[_MEANS, None] / _MULTIPLES)
     densities = np.exp(-0.5 * (off[:, None, :] / _SPREADS[:, None]) ** 2)
     return (densities / densities.sum(axis=-1, keepdims=True)).reshape(-1, len(_MULTIPLES))
-
-
-def _longer_half(values: FloatArray) -> FloatArray:
-    """The contrasts (P, M) of the longer waves, the last ones, 0 in place of the others, as of those that tell nothing:
-    of a real wall the octaves next to it tell most of what turns it, and short ones, which are many, would speak
-    louder."""
-    longer = np.arange(values.shape[1])[::-1]
-    return np.where(2 * longer < np.count_nonzero(values, axis=1)[:, None], values, 0.0)
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:

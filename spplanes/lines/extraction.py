@@ -100,21 +100,6 @@ def extract_lines(
     beams, rows, support, counts = _extracted(ranges, angles, sigma, config, flatness)
     if shared_error and len(rows):
         rows[:, 4:8] = _with_shared_error(rows, support, counts, beams, config).reshape(-1, 4)
-    return _as_lines(rows, support, counts)
-
-
-def _extracted(
-    ranges: ArrayLike, angles: ArrayLike, sigma: ArrayLike, config: LineConfig, flatness: float
-) -> tuple[FloatArray, FloatArray, np.ndarray, np.ndarray]:
-    """The beams (3, B) of a scan, and its lines as `extract` gives them: rows (M, 12), support (N,), counts (M,)."""
-    beams = _checked_beams(ranges, angles, sigma)
-    if beams.shape[1] < 3:
-        return beams, np.empty((0, 12)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    return beams, *extract(beams[0], beams[1], beams[2], _rules(config, flatness))
-
-
-def _as_lines(rows: FloatArray, support: np.ndarray, counts: np.ndarray) -> list[ScanLine]:
-    """What `extract` found as lines."""
     ends, blocks = np.cumsum(counts), rows[:, 4:].reshape(-1, 2, 2, 2)
     return [
         ScanLine._trusted(alpha, rho, block[0], block[1], support[end - count : end], chi2, int(dof))
@@ -122,20 +107,22 @@ def _as_lines(rows: FloatArray, support: np.ndarray, counts: np.ndarray) -> list
     ]
 
 
-def _rules(config: LineConfig, stated: float) -> Rules:
-    """The configuration as kernels take it, always of the same types: for others they would be compiled anew."""
-    own: dict[str, Any] = {field.name: type(field.default)(getattr(config, field.name)) for field in fields(config)}
-    return Rules(gate=-2.0 * log(config.significance), stated=float(stated), **own)
-
-
-def _checked_beams(ranges: ArrayLike, angles: ArrayLike, sigma: ArrayLike) -> FloatArray:
-    """Ranges, bearings and standard deviations of ranges in one array of its own, shape (3, B)."""
+def _extracted(
+    ranges: ArrayLike, angles: ArrayLike, sigma: ArrayLike, config: LineConfig, flatness: float
+) -> tuple[FloatArray, FloatArray, np.ndarray, np.ndarray]:
+    """The beams (3, B) of a scan, and its lines as `extract` gives them: rows (M, 12), support (N,), counts (M,)."""
     distances = as_shape("ranges", ranges, (None,), finite=False)
     bearings = as_shape("angles", angles, distances.shape)
     largest = float(np.abs(bearings).max(initial=0.0))
     if largest > 4.0 * np.pi:  # two turns: no convention writes a bearing beyond, and any scan in degrees does
         raise ValueError(f"angles: expected bearings in radians, got {largest:.6g}, as if in degrees")
-    return np.stack((distances, bearings, _as_sigmas(sigma, distances.size)))
+    beams = np.stack((distances, bearings, _as_sigmas(sigma, distances.size)))
+    if beams.shape[1] < 3:
+        return beams, np.empty((0, 12)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    # always of the same types: for others kernels would be compiled anew
+    own: dict[str, Any] = {field.name: type(field.default)(getattr(config, field.name)) for field in fields(config)}
+    rules = Rules(gate=-2.0 * log(config.significance), stated=float(flatness), **own)
+    return beams, *extract(beams[0], beams[1], beams[2], rules)
 
 
 def _as_sigmas(sigma: ArrayLike, n: int) -> FloatArray:

@@ -60,8 +60,10 @@ def planes_of(
 ) -> list[Plane]:
     """The planes of a labelled grid; `views` None: d >= 0; `poses`: pose covariances (S, 6, 6) and the points they turn
     about (S, 3), or None; of `config` outlines and the least shared error."""
-    eyes = _eyes(labels, int(labels.max(initial=-1)) + 1, views)
-    seen_from = None if views is None else views[:, None]
+    eyes, seen_from = np.full((int(labels.max(initial=-1)) + 1, 3), np.nan), None
+    if views is not None:  # of a plane the mean over its points
+        shares, seen_from = shares_of(labels, len(eyes)), views[:, None]
+        eyes = (shares.T @ views) / shares.sum(axis=0)[:, None]
     fitted = fit_labelled(points, covariance, labels, eyes, config, views=seen_from, poses=poses)
     return fitted.with_outlines(outlines_in(fitted.frames, points, labels, fitted.extents, config))
 
@@ -146,14 +148,6 @@ def _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads
     frames[numbers[good]] = fits.frames[good]
     spreads[numbers[good]] = 1.0 / np.diagonal(fits.covariances[good], axis1=1, axis2=2)
     rows[numbers[good], 1] = spreads[numbers[good], 0]
-
-
-def _eyes(labels: np.ndarray, n_regions: int, views: FloatArray | None) -> FloatArray:
-    """Mean viewpoint of the points of every region, shape (R, 3); NaN without viewpoints."""
-    if views is None:
-        return np.full((n_regions, 3), np.nan)
-    shares = shares_of(labels, n_regions)
-    return (shares.T @ views) / shares.sum(axis=0)[:, None]
 
 
 def shares_of(labels: np.ndarray, n_regions: int) -> np.ndarray:

@@ -105,7 +105,9 @@ def label_scans(
     eyes = np.zeros((len(grid), 3)) if views is None else views
     sheet = Sheet(grid, total, shared, valid, np.full(valid.shape, -1, dtype=np.int64))
     segment_sheet(sheet, eyes, config)
-    labels, _ = number_by_first_point(_without_specks(sheet.labels), len(sheet.rows))
+    counts = np.bincount(sheet.labels[sheet.labels >= 0], minlength=1)
+    kept = np.where(counts[sheet.labels] >= 3, sheet.labels, -1)  # all that borders may leave of a region is no plane
+    labels, _ = number_by_first_point(kept, len(sheet.rows))
     return Labelled(grid, variance, labels, views, poses)
 
 
@@ -152,12 +154,6 @@ def as_noise(name: str, value: ArrayLike, valid: np.ndarray) -> FloatArray:
     What comes for points that are no returns is neither judged nor ever read.
     """
     return as_covariances(name, value, valid.shape, valid=valid, least=LEAST_SIGMA_M**2, most=FARTHEST_M**2)
-
-
-def _without_specks(labels: np.ndarray) -> np.ndarray:
-    """Labels without those of one or two points, all that the borders may leave of a region: that is no plane."""
-    counts = np.bincount(labels[labels >= 0], minlength=1)
-    return np.where((labels >= 0) & (counts[labels] >= 3), labels, -1)
 
 
 def _per_scan(name: str, value: ArrayLike, n_scans: int) -> FloatArray:

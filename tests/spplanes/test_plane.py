@@ -161,10 +161,7 @@ def outlined():
 def test_dict_round_trip_is_exact_through_json():
     for plane in (outlined(), random_plane(5)):
         back = Plane.from_dict(json.loads(json.dumps(plane.to_dict())))
-        np.testing.assert_array_equal(back.frame, plane.frame)
-        np.testing.assert_array_equal(back.covariance, plane.covariance)
-        assert (back.n_points, back.chi2) == (plane.n_points, plane.chi2)
-        assert back.to_dict() == plane.to_dict()
+        assert back == plane and back.to_dict() == plane.to_dict()
         assert {"normal", "d", "frame", "covariance", "n_points", "outline"} <= set(plane.to_dict())
     assert Plane.from_dict(replace(outlined(), outline=Polygon()).to_dict()).outline is None
     back = Plane.from_dict({**outlined().to_dict(), "id": 3, "observations": 5})
@@ -183,7 +180,6 @@ def test_dict_round_trip_is_exact_through_json():
         ({"d": 1e3}, "d: expected the frame's distance"),
         ({"d": None}, "d: expected"),
         ({"n_points": -1}, "n_points: expected a whole number >= 0, got -1"),
-        ({"n_points": 1.5}, "n_points: expected a whole number >= 0, got 1.5"),
         ({"chi2": "much"}, "chi2: expected"),
         ({"outline": 5}, "outline: expected a list of rings, got int"),
         ({"outline": [[[0, 0], [1, 0]]]}, "outline: expected closed rings of at least 4 points"),

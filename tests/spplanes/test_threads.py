@@ -4,7 +4,6 @@ from concurrent.futures import wait
 
 import numpy as np
 import pytest
-import shapely
 
 from spplanes import _threads, segment_scans
 from tests.spplanes.scenes import beam_covariances, box, cast, noisy, rays
@@ -33,8 +32,7 @@ def threads(monkeypatch):
 
 def everything(points, covariances):
     labels, planes = segment_scans(points, covariances)
-    parts = [(p.frame.tobytes(), p.covariance.tobytes(), p.chi2, p.n_points, shapely.to_wkb(p.outline)) for p in planes]
-    return labels.tobytes(), parts
+    return labels.tobytes(), planes
 
 
 def test_planes_are_the_same_bits_whatever_the_number_of_threads(scan, threads):

@@ -66,7 +66,7 @@ class _Bends:
 
     def __init__(self, cells: FloatArray, angles: FloatArray, shares: FloatArray) -> None:
         weight, place, mean = cells[:, 0], cells[:, 1:3], cells[:, 3]
-        self._angles, self._directions = angles, np.stack((np.cos(angles), np.sin(angles)))
+        self._directions = np.stack((np.cos(angles), np.sin(angles)))
         along = place @ self._directions
         low, high = along.min(axis=0), along.max(axis=0)
         self._places = low + shares[:, None] * (high - low)
@@ -83,11 +83,7 @@ class _Bends:
         """Of bends and of steps, shape (2, Q, A)."""
         self._best = int(np.argmax(chi2))
         self._column = self._best % len(angles)
-
-    @property
-    def angle(self) -> float:
-        """Of the surest."""
-        return float(self._angles[self._column])
+        self.angle = float(angles[self._column])
 
     def surest(self) -> Bend:
         """The surest; it is anywhere that is hardly less sure, within three standard deviations."""

@@ -57,7 +57,8 @@ class InPatches:
         `drift_m`: standard deviation of what a slow error of the sensor shifts every point by, shape (N,), m."""
         residuals, variances = along_normal(points, covariances, plane.frame)
         if scan_index is not None:
-            residuals = residuals - _group_means(residuals, scan_index)[scan_index]
+            means = np.bincount(scan_index, residuals) / np.maximum(np.bincount(scan_index), 1)
+            residuals = residuals - means[scan_index]
         self._of_points = residuals, np.maximum(variances, 1e-12), np.empty(0) if drift_m is None else drift_m**2
         self._limits = rules.step_sigmas, rules.step_m
         self._row, self._column, self._n_rows, self._n_columns = patches_of(points, plane.frame, rules.patch_m)
@@ -70,7 +71,8 @@ class InPatches:
         Averages over patches, and over strips right across the plane, see a step of 2 cm in noise of 15 mm long before
         the chi2 of all points does, and hardly mind a noise level that is known to 10 % only."""
         strips = (self._row, self._n_rows), (self._column, self._n_columns)
-        return bool(self._off.any()) or any(self._strip_is_off(*strip) for strip in strips)
+        off = (strays(*self._of_points, *numbered(*strip), *self._limits) for strip in strips)
+        return bool(self._off.any()) or any(bool(one.any()) for one in off)
 
     def without_strays(self) -> np.ndarray | None:
         """Which points of the plane to keep, (N,): those that lie in no patch that strays, nor beside one; None where
@@ -86,13 +88,6 @@ class InPatches:
         """Which points lie in a patch that strays, shape (N,)."""
         patch, count = numbered(self._place, (self._n_rows + 2) * self._wide)
         return strays(*self._of_points, patch, count, *self._limits)[patch]
-
-    def _strip_is_off(self, strip: np.ndarray, count: int) -> bool:
-        return bool(strays(*self._of_points, *numbered(strip, count), *self._limits).any())
-
-
-def _group_means(values: FloatArray, group: np.ndarray) -> FloatArray:
-    return np.bincount(group, values) / np.maximum(np.bincount(group), 1)
 
 
 def patches_of(points: FloatArray, frame: FloatArray, side: float) -> tuple[np.ndarray, np.ndarray, int, int]:

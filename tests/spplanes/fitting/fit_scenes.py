@@ -137,8 +137,7 @@ def _growing(points):
 
 
 def _offset() -> Scene:
-    wall = _wall(300, 3.0, 30.0, 3.0, 2.0, _laser)
-    offset = np.array([1e6, -1e6, 1e6])
+    wall, offset = _wall(300, 3.0, 30.0, 3.0, 2.0, _laser), np.array([1e6, -1e6, 1e6])
     frame = wall.frame.copy()
     frame[:3, 3] += offset
     return Scene(wall.true_points + offset, wall.covariances, frame, offset)
@@ -220,6 +219,5 @@ def linear_run(scene: Scene, runs: int, seed: int, weights: np.ndarray | None = 
 
 def estimate_in(frame: np.ndarray, estimated: np.ndarray) -> np.ndarray:
     """(z, theta, psi) of the estimated plane in the frame of the truth."""
-    t = inverse_transform(frame) @ estimated
-    n = t[:3, 2]
-    return np.array([n @ t[:3, 3] / n[2], n[0] / n[2], -n[1] / n[2]])
+    n, centre = (inverse_transform(frame) @ estimated)[:3, 2:].T
+    return np.array([n @ centre / n[2], n[0] / n[2], -n[1] / n[2]])

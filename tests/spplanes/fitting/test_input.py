@@ -37,7 +37,6 @@ def line(n):
         (np.where(np.eye(20, 3, -4), np.inf, POINTS), r"points: expected finite numbers, got \[inf, .*\] at index 4"),
         (POINTS[:, :2], r"points: expected shape \(N, 3\), got \(20, 2\)"),
         (POINTS[0], r"points: expected shape \(N, 3\), got \(3,\)"),
-        ("wall", "points: expected an array of numbers, got str"),
         ([[1, 2, 3], [1, 2]], "points: expected an array of numbers, got list"),
     ],
 )

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from spplanes import Moments
 from spplanes._rows import merge_scaled
 from spplanes.fitting._moment_patches import eigenvalues, normal_of, variance_along
 from spplanes.segmentation.clustering import cells
@@ -16,11 +17,7 @@ def grid_of(points, covariance, labels):
 
 
 def moments(points, weights):
-    """A moment row from points, written out."""
-    w = np.broadcast_to(weights, len(points))
-    centre = w @ points / w.sum()
-    s = (points - centre).T * w @ (points - centre)
-    return np.array([len(points), w.sum(), *centre, s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]])
+    return Moments.from_points(points, np.broadcast_to(weights, len(points)).copy()).as_row()
 
 
 def patch(rng, centre, sigma, n=200):
@@ -33,8 +30,7 @@ def test_eigenvalues_and_normal_agree_with_numpy():
     for _ in range(50):
         points = rng.normal(size=(20, 3)) * rng.uniform(0.01, 2.0, 3) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
         row = moments(points, 1.0)
-        s = (points - points.mean(0)).T @ (points - points.mean(0))
-        values, vectors = np.linalg.eigh(s)
+        values, vectors = np.linalg.eigh((points - points.mean(0)).T @ (points - points.mean(0)))
         np.testing.assert_allclose(eigenvalues(row), values, atol=1e-10 * values[2])
         assert abs(np.array(normal_of(row, eigenvalues(row)[0])) @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
 
