@@ -126,11 +126,6 @@ class Curve:
             fewest *= 4
         return np.concatenate(found)
 
-    def smoothed(self, values: FloatArray) -> FloatArray:
-        """Means over neighbourhoods, shape (N,): by its own range a point that is measured too short has less noise."""
-        near = self.neighbourhoods()
-        return (np.bincount(near, values) / np.maximum(np.bincount(near), 1))[near]
-
     def number_of_first(self) -> np.ndarray:
         """Which point of the cloud, the first of its copies, each point is, shape (N,), int64."""
         first = np.zeros(len(self.points), dtype=np.int64)

@@ -28,9 +28,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from spplanes._check import FloatArray
-from spplanes.fitting._patch_sums import RESIDUAL, SIDE, SQUARE, WEIGHT, N, X, Y, add_to_patches
+from spplanes._jit import njit
 from spplanes.fitting.rounding import with_rounding
 
+#: Patches along each side of a plane.
+SIDE = 5
+#: Of a patch: number, sum of the weights, weighted residual, its square, weighted x and y.
+N, WEIGHT, RESIDUAL, SQUARE, X, Y = range(6)
 #: Share of the sensors without such errors that are taken to have some.
 SIGNIFICANCE = 1e-3
 #: Mean distance of the points of a rectangle, as exp(mean log), in the sum of its sides (Maxwell's geometric mean).
@@ -125,7 +129,7 @@ class _Patches:
         half = 3.0**0.5 * np.sqrt(diagonal[:, :1] / diagonal[:, 1:])  # of a uniform rectangle
         blurred = half < SIDE * _noise_along(variances, groups, len(frames))[:, None]
         sums = np.zeros((len(frames), SIDE, SIDE, 6))
-        add_to_patches(points, variances, groups, frames, np.where(blurred, np.inf, half), sums)
+        _add_to_patches(points, variances, groups, frames, np.where(blurred, np.inf, half), sums)
         sums = sums.reshape(len(frames), SIDE * SIDE, 6)
         weights = sums[..., WEIGHT]
         safe = np.where(weights > 0.0, weights, 1.0)
@@ -290,3 +294,38 @@ def _log_likelihood(values: FloatArray, squares: FloatArray, tau: FloatArray | f
     """Of the contrasts of every plane, up to a constant, for tau^2 of any shape (..., P); the same shape."""
     variance = 1.0 + values * np.asarray(tau)[..., None]
     return -0.5 * np.where(values > 0.0, np.log(variance) + squares / variance, 0.0).sum(axis=-1)
+
+
+@njit(cache=True)
+def _add_to_patches(points, variances, groups, frames, half, sums):
+    """Add every point's residual to the sums (P, SIDE, SIDE, 6) of its patch, in place. Points (N, 3), m, of ``groups``
+    (N,), -1 = none, have ``variances`` (N, 1) or (N, 9), or (1, .) for all, m^2. ``half`` (P, 2), m, are half the sides
+    of the rectangles that are parted; points beyond are of the rim."""
+    step = 1 if variances.shape[0] == points.shape[0] else 0
+    isotropic = variances.shape[1] == 1
+    for k in range(points.shape[0]):
+        g = groups[k]
+        if g < 0:
+            continue
+        f = frames[g]
+        a, b, c = points[k, 0] - f[0, 3], points[k, 1] - f[1, 3], points[k, 2] - f[2, 3]
+        x = a * f[0, 0] + b * f[1, 0] + c * f[2, 0]
+        y = a * f[0, 1] + b * f[1, 1] + c * f[2, 1]
+        n0, n1, n2 = f[0, 2], f[1, 2], f[2, 2]
+        z = a * n0 + b * n1 + c * n2
+        v = variances[k * step]
+        if isotropic:
+            along = v[0]
+        else:
+            along = n0 * (n0 * v[0] + n1 * (v[1] + v[3]) + n2 * (v[2] + v[6]))
+            along += n1 * (n1 * v[4] + n2 * (v[5] + v[7])) + n2 * n2 * v[8]
+            along = max(along, 1e-3 * (v[0] + v[4] + v[8]))
+        i = int(min(max((x / half[g, 0] + 1.0) * 0.5 * SIDE, 0.0), SIDE - 1.0))
+        j = int(min(max((y / half[g, 1] + 1.0) * 0.5 * SIDE, 0.0), SIDE - 1.0))
+        w, cell = 1.0 / along, sums[g, i, j]
+        cell[0] += 1.0
+        cell[1] += w
+        cell[2] += w * z
+        cell[3] += w * z * z
+        cell[4] += w * x
+        cell[5] += w * y

@@ -38,7 +38,8 @@ class Extent:
         self._tiles: dict[tuple[int, int], BaseGeometry] = {}
         self._waiting: list[BaseGeometry] = []
         self._full: set[tuple[int, int]] = set()
-        self._bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
+        self.bounds: FloatArray = np.array([np.inf, np.inf, -np.inf, -np.inf])
+        """(x low, y low, x high, y high), shape (4,), m."""
         self.grow(geometry)
         self._whole: BaseGeometry | None = geometry
 
@@ -48,11 +49,6 @@ class Extent:
         if self._whole is None:
             self._whole = self._line if self._line is not None else shapely.union_all(all_valid(self.pieces))
         return self._whole
-
-    @property
-    def bounds(self) -> FloatArray:
-        """(x low, y low, x high, y high), shape (4,), m."""
-        return self._bounds
 
     @property
     def pieces(self) -> list[BaseGeometry]:
@@ -67,7 +63,7 @@ class Extent:
     def grow(self, patch: BaseGeometry) -> None:
         """Take a patch in."""
         low, high = np.split(np.asarray(patch.bounds), 2)
-        self._bounds = np.concatenate((np.minimum(self._bounds[:2], low), np.maximum(self._bounds[2:], high)))
+        self.bounds = np.concatenate((np.minimum(self.bounds[:2], low), np.maximum(self.bounds[2:], high)))
         areas = self._tiles or self._waiting or (self._line is not None and self._line.geom_type != "LineString")
         if not areas and patch.geom_type in ("LineString", "Point"):
             self._line, self._whole = patch if self._line is None else grow(self._line, patch), None
