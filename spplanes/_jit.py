@@ -55,7 +55,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         if not config.DISABLE_JIT:  # type: ignore[attr-defined]
             if options.get("cache"):
                 kernel._cache = _Cache(function)
-            _take_constants_as_variables(kernel)
+            # kernels that call this one with 0, or with True, call what is compiled for any: numba compiles for each
+            template_for = kernel.get_call_template
+            kernel.get_call_template = lambda args, kws: template_for(
+                [unliteral(arg) for arg in args], {name: unliteral(arg) for name, arg in kws.items()}
+            )
             KERNELS.append(kernel)
         return kernel
 
@@ -84,16 +88,6 @@ def inlined(function: Callable[..., Any]) -> Any:
     """A decorator for what one kernel calls in one place: compiled as a part of it, not alone. Not for what goes into a
     kernel that is long already: typing takes more than twice the time for twice the length."""
     return numba.njit(inline="always")(function)
-
-
-def _take_constants_as_variables(kernel: Any) -> None:
-    """Let kernels that call this one with 0, or with True, call what is compiled for any: numba compiles for each."""
-    template_for = kernel.get_call_template
-
-    def of_any(args: Any, kws: dict[str, Any]) -> Any:
-        return template_for([unliteral(arg) for arg in args], {name: unliteral(arg) for name, arg in kws.items()})
-
-    kernel.get_call_template = of_any
 
 
 @cache

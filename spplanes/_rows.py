@@ -80,22 +80,15 @@ def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, va
                 v[k, 1], v[k, 2] = c * v[k, 1] - s * v[k, 2], s * v[k, 1] + c * v[k, 2]
         if done:
             break
-    _store_sorted(xx, yy, zz, v, values, vectors)
-
-
-@inlined
-def _store_sorted(a: float, b: float, c: float, v, values, vectors) -> None:
-    """Write eigenpairs in ascending order of eigenvalue."""
     i, j, k = 0, 1, 2
-    values[0], values[1], values[2] = a, b, c
+    values[0], values[1], values[2] = xx, yy, zz
     if values[i] > values[j]:
         i, j = j, i
     if values[j] > values[k]:
         j, k = k, j
     if values[i] > values[j]:
         i, j = j, i
-    low, mid, high = values[i], values[j], values[k]
-    values[0], values[1], values[2] = low, mid, high
+    values[0], values[1], values[2] = values[i], values[j], values[k]
     for r in range(3):
         vectors[r, 0], vectors[r, 1], vectors[r, 2] = v[r, i], v[r, j], v[r, k]
 
@@ -244,18 +237,6 @@ def symmetric3(upper: np.ndarray) -> np.ndarray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-@inlined
-def extent_status(row, middle: float, largest: float) -> int:
-    """OK, COINCIDENT or COLLINEAR, judged by the two larger eigenvalues of the scatter and by rounding."""
-    size = 1e-15 * max(abs(row[2]), abs(row[3]), abs(row[4]))  # by which coordinates are rounded
-    nothing = row[1] * size * size
-    if not largest > nothing or largest < 1e-300:
-        return COINCIDENT
-    if middle <= nothing or middle <= COLLINEAR_RATIO * COLLINEAR_RATIO * largest:
-        return COLLINEAR
-    return OK
-
-
 @njit(cache=True)
 def row_frame(row, viewpoint, frame, values) -> int:
     """Plane frame (4, 4) of a moment row, normal as of `faces_viewpoint`, and its eigenvalues, ascending; the
@@ -265,9 +246,12 @@ def row_frame(row, viewpoint, frame, values) -> int:
     values[0] = max(values[0], 0.0)
     if row[0] < 3.0:
         return TOO_FEW
-    status = extent_status(row, values[1], values[2])
-    if status != OK:
-        return status
+    size = 1e-15 * max(abs(row[2]), abs(row[3]), abs(row[4]))  # by which coordinates are rounded
+    nothing = row[1] * size * size
+    if not values[2] > nothing or values[2] < 1e-300:
+        return COINCIDENT
+    if values[1] <= nothing or values[1] <= COLLINEAR_RATIO * COLLINEAR_RATIO * values[2]:
+        return COLLINEAR
     normal, centre = vectors[:, 0].copy(), row[2:5]
     if not faces_viewpoint(normal, centre, viewpoint):
         normal = -normal

@@ -42,11 +42,8 @@ def threads_for(size: int) -> int:
 def in_parts(work: Callable[[int, int], object], count: int, size: int, *, singly: bool = False) -> None:
     """Call ``work(first, last)`` for parts of ``range(count)``, all of it once, on as many threads as are worth it.
 
-    Args:
-        work: releases Python's lock; what it does for one number depends on no other number, nor does where it writes.
-        count: numbers there are.
-        size: points that all of them together stand for.
-        singly: one number at a time, in order, where some take far longer than others: those come first.
+    `work` releases Python's lock; what it does for one number depends on no other number, nor does where it writes. All
+    numbers together stand for `size` points. Where some take far longer than others they come first, and `singly`.
     """
     threads = min(threads_for(size), count)
     if threads < 2:

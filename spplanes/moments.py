@@ -35,7 +35,8 @@ from spplanes.plane import Plane
 __all__ = ["ROW_SIZE", "Moments", "add_point", "merge_rows", "points_row", "row_frame", "smallest_eigen"]
 
 
-_PROBLEMS = {
+#: What was expected and what came, for an outcome that is no plane.
+PROBLEMS = {
     _rows.TOO_FEW: "expected at least 3 points, got {n}",
     _rows.COINCIDENT: "expected points that span a plane, got {n} coincident ones",
     _rows.COLLINEAR: "expected points that span a plane, got {n} collinear ones",
@@ -108,11 +109,6 @@ class Moments:
         frame, values = np.empty((4, 4)), np.empty(3)
         status = row_frame(self.as_row(), eye, frame, values)
         if status != _rows.OK:
-            raise ValueError("points: " + describe_status(status, self.n))
+            raise ValueError(f"points: {PROBLEMS[status].format(n=self.n)}")
         covariance = np.diag([1.0 / self.weight, 1.0 / values[2], 1.0 / values[1]])
         return Plane._trusted(frame, covariance, self.n, chi2=float(values[0]))
-
-
-def describe_status(status: int, n: int) -> str:
-    """What was expected and what came, for an outcome that is no plane."""
-    return _PROBLEMS[status].format(n=n)

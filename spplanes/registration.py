@@ -63,13 +63,9 @@ def interpolate_poses(stamps_ns: ArrayLike, poses: ArrayLike, at_ns: ArrayLike) 
         return np.repeat(known, len(wanted), axis=0)
     before = np.clip(np.searchsorted(stamps, wanted, side="right") - 1, 0, len(known) - 2)
     share = (wanted - stamps[before]) / (stamps[before + 1] - stamps[before])
-    return _between(known[before], known[before + 1], share)
+    from scipy.spatial.transform import Rotation  # late: a slow import
 
-
-def _between(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
-    """Poses a share of the way from the first to the second, all (N, ...)."""
-    from scipy.spatial.transform import Rotation
-
+    first, second = known[before], known[before + 1]
     start = Rotation.from_matrix(first[:, :3, :3])
     turn = (start.inv() * Rotation.from_matrix(second[:, :3, :3])).as_rotvec()
     result = first.copy()

@@ -194,14 +194,8 @@ class Location:
     def relative(self, other: Location, cross: ArrayLike | None = None) -> Location:
         """self^-1 o ``other``: ``other``, known in the world, seen from this frame; keeps the binding of ``other``.
 
-        To first order d = -Ad(relative^-1) d_self + d_other.
-
-        Args:
-            other: location in the same frame as this one.
-            cross: covariance of (p_self, p_other), shape (k_self, k_other); without it they are independent.
-
-        Raises:
-            ValueError: ``cross`` has another shape, or makes the joint covariance indefinite.
+        To first order d = -Ad(relative^-1) d_self + d_other. Arguments and errors are as of `compose`, but ``other`` is
+        in the same frame as this one.
         """
         check_instance("other", other, Location)
         transform = inverse_transform(self.transform) @ other.transform

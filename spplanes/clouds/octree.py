@@ -176,7 +176,8 @@ class Cells:
     def neighbours(self) -> np.ndarray:
         """Pairs of cells that touch, at a face, an edge or a corner, each once, shape (E, 2)."""
         shift = LEVELS - self.level
-        corner = _separated(self.place) >> shift[:, None]
+        parts = (self.place[:, None] >> np.arange(3) + bit & 0x7FFF for bit in (0, 15, 30, 45))
+        corner = np.bitwise_or.reduce([_GATHERED[part] << 5 * k for k, part in enumerate(parts)]) >> shift[:, None]
         beside = corner[:, None, :] + np.array([step for step in product((-1, 0, 1), repeat=3) if any(step)])
         inside = ((beside >= 0) & (beside < (1 << self.level)[:, None, None])).all(axis=2)
         cell, which = np.nonzero(inside)
@@ -213,9 +214,3 @@ def _interleaved(places: np.ndarray) -> np.ndarray:
 def _spread(values: np.ndarray) -> np.ndarray:
     """Two zeros before every bit."""
     return _SPREAD[values & 1023] | _SPREAD[values >> 10] << 30
-
-
-def _separated(keys: np.ndarray) -> np.ndarray:
-    """Places (K, 3) of keys (K,)."""
-    own = [_GATHERED[keys[:, None] >> np.arange(3) + shift & 0x7FFF] << shift // 3 for shift in (0, 15, 30, 45)]
-    return np.bitwise_or.reduce(own)

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._rows import OK
-from spplanes.fitting._groups import FitJob, Fits, Method, Robust, fit_groups, group_by_label
-from spplanes.moments import describe_status
+from spplanes.fitting._groups import FitJob, Method, Robust, fit_groups, group_by_label
+from spplanes.moments import PROBLEMS
 from spplanes.plane import Plane
 
 
@@ -119,19 +119,12 @@ def _fitted(
     fits = fit_groups(job, order, bounds)
     for g in np.flatnonzero(fits.status != OK)[:1]:
         whose = "points" if names is None else f"points of label {names[g]}"
-        raise ValueError(f"{whose}: " + describe_status(int(fits.status[g]), int(fits.counts[g])))
-    return (_with_shared_error(fits, job, order, bounds) if shared_error else fits).planes()
+        raise ValueError(f"{whose}: {PROBLEMS[int(fits.status[g])].format(n=fits.counts[g])}")
+    if shared_error and job.method == "ml" and not job.robust and job.shared is None:
+        from spplanes.fitting.shared_error import shared_error_of  # late: quantiles of scipy, which nothing else needs
 
-
-def _with_shared_error(fits: Fits, job: FitJob, order: np.ndarray, bounds: np.ndarray) -> Fits:
-    """The fits with what residuals show beyond the stated noise, where they can be asked; see `shared_error_of`."""
-    if job.method != "ml" or job.robust or job.shared is not None:
-        return fits
-    from spplanes.fitting.shared_error import shared_error_of  # late: quantiles of scipy, which nothing else here needs
-
-    groups = np.full(len(job.points), -1)
-    groups[order] = np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
-    found = shared_error_of(
-        job.points, job.covariances.reshape(-1, 9), groups, fits.frames, fits.covariances, stated=True
-    )
-    return replace(fits, covariances=found.covariances)
+        groups, noise = np.full(len(job.points), -1), job.covariances.reshape(-1, 9)
+        groups[order] = np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
+        found = shared_error_of(job.points, noise, groups, fits.frames, fits.covariances, stated=True)
+        fits = replace(fits, covariances=found.covariances)
+    return fits.planes()

@@ -75,14 +75,10 @@ class Strip:
         (scan,), (valid,) = as_grid(scan[None])
         matrices = as_noise("covariances", covariances, valid)
         if k and (viewpoint is None) != np.isnan(self.views[k - 1, 0]):
-            raise ValueError(
-                f"viewpoint: expected one with every scan or with none, got {'none' if viewpoint is None else 'one'}"
-                " unlike the scan before"
-            )
-        if pose_covariance is not None:
-            self.pose_covariances[k] = as_covariance("pose_covariance", pose_covariance, 6)
-        else:
-            self.pose_covariances[k] = 0.0
+            got = f"got {'none' if viewpoint is None else 'one'} unlike the scan before"
+            raise ValueError(f"viewpoint: expected one with every scan or with none, {got}")
+        shared = 0.0 if pose_covariance is None else as_covariance("pose_covariance", pose_covariance, 6)
+        self.pose_covariances[k] = shared
         self.views[k] = np.nan if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
         self.origins[k] = 0.0 if scan_origin is None else as_shape("scan_origin", scan_origin, (3,))
         self.points[k] = scan

@@ -19,8 +19,6 @@ from spplanes._check import FloatArray
 _TILE_M, _LAP_M = 4.0, 0.05
 #: So many patches wait before they are cut into tiles together: neighbours in time, they show much the same.
 _AT_ONCE = 4
-#: A tile is full, and what else is seen there not looked at, when so much of it is there, m^2.
-_FULL_M2 = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4
 #: Outlines are simplified to this after every union, m: far below any gap that association looks at.
 _TOLERANCE_M = 0.01
 
@@ -91,7 +89,14 @@ class Extent:
             yield self._line
             return
         reach = np.asarray(patch.bounds) + np.array([-1.0, -1.0, 1.0, 1.0]) * distance_m
-        yield from (self._tiles[key] for key in self._tiles_in(reach))
+        x0, y0 = np.floor((reach[:2] - _LAP_M) / _TILE_M).tolist()
+        x1, y1 = np.floor((reach[2:] + _LAP_M) / _TILE_M).tolist()
+        if (x1 - x0 + 1.0) * (y1 - y0 + 1.0) > len(self._tiles):
+            touched = (key for key in sorted(self._tiles) if x0 <= key[0] <= x1 and y0 <= key[1] <= y1)
+        else:
+            keys = product(range(int(x0), int(x1) + 1), range(int(y0), int(y1) + 1))
+            touched = (key for key in keys if key in self._tiles)
+        yield from (self._tiles[key] for key in touched)
         yield from self._waiting
 
     def _cut(self, patch: BaseGeometry) -> None:
@@ -126,17 +131,8 @@ class Extent:
         self._whole = None
         self._tiles.update(grown)
         areas = np.asarray(shapely.area(list(grown.values())))
-        self._full.update(key for key, area in zip(grown, areas.tolist(), strict=True) if area > _FULL_M2)
-
-    def _tiles_in(self, bounds: FloatArray) -> Iterator[tuple[int, int]]:
-        """Keys of the tiles there are that a box touches, in order."""
-        x0, y0 = np.floor((bounds[:2] - _LAP_M) / _TILE_M).tolist()
-        x1, y1 = np.floor((bounds[2:] + _LAP_M) / _TILE_M).tolist()
-        if (x1 - x0 + 1.0) * (y1 - y0 + 1.0) > len(self._tiles):
-            yield from (key for key in sorted(self._tiles) if x0 <= key[0] <= x1 and y0 <= key[1] <= y1)
-        else:
-            keys = product(range(int(x0), int(x1) + 1), range(int(y0), int(y1) + 1))
-            yield from (key for key in keys if key in self._tiles)
+        full = (_TILE_M + 2.0 * _LAP_M) ** 2 - 1e-4  # what else is seen there is not looked at
+        self._full.update(key for key, area in zip(grown, areas.tolist(), strict=True) if area > full)
 
 
 def _within(geometries: Any, x_low: float, y_low: float, x_high: float, y_high: float) -> Any:

@@ -9,8 +9,6 @@ import numpy as np
 
 #: Grids with fewer rows hold strips of planes rather than planes.
 FEW_ROWS = 16
-#: Fewest points of such a strip.
-FEWEST_POINTS = 8
 
 
 @dataclass(frozen=True)
@@ -92,12 +90,12 @@ class MapperConfig:
     def for_rows(self, n_rows: int) -> MapperConfig:
         """The settings for a grid of so few rows: what it can show of a plane is a strip.
 
-        The points of a strip go with its rows, what it tells of its tilt with their power of 1.5.
+        The points of a strip, eight at least, go with its rows, what it tells of its tilt with their power of 1.5.
         """
         if n_rows >= FEW_ROWS:
             return self
         share = max(n_rows, 1) / FEW_ROWS
-        fewest = max(min(FEWEST_POINTS, self.min_points), round(self.min_points * share))
+        fewest = max(min(8, self.min_points), round(self.min_points * share))
         return replace(self, min_points=fewest, max_tilt_rad=self.max_tilt_rad / share**1.5)
 
 

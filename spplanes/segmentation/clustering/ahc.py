@@ -75,16 +75,6 @@ def _are_one(rows, bias, pair, flatness, correlation, limits, work):
     return one_plane_chi2(rows[a], rows[b], total, work) <= limits[1]
 
 
-@inlined
-def _fuse(rows, bias, a, b, work):
-    """Let patch a, in place, be both: moments are summed, what is shared with scans is the mean by weights."""
-    merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
-    for k in range(bias.shape[1]):
-        bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
-    for k in range(work.shape[0]):
-        rows[a, k] = work[k]
-
-
 @njit(cache=True)
 def cluster(rows, bias, edges, limits, flatness, correlation):
     """Root (N,) of every patch: they fuse along edges (E, 2), the pair with the least mean distance to its plane first.
@@ -112,7 +102,11 @@ def cluster(rows, bias, edges, limits, flatness, correlation):
                 continue
         if _are_one(rows, bias, (a, b), flatness, correlation, limits, work):
             a, b = min(a, b), max(a, b)
-            _fuse(rows, bias, a, b, work)
+            merge_scaled(work, rows[a], 1.0, rows[b], 1.0)
+            for k in range(bias.shape[1]):  # of what is shared with scans the mean by weights
+                bias[a, k] = (bias[a, k] * rows[a, 1] + bias[b, k] * rows[b, 1]) / work[1]
+            for k in range(work.shape[0]):
+                rows[a, k] = work[k]
             parent[b] = a
             version[a] += version[b] + 1
     for i in range(parent.shape[0]):

@@ -35,19 +35,13 @@ def fit_regions(points, covariance, labels, rows, prior, floor_variance):
     """Moments of the labelled points, added to `prior` (R, 11), weighted along the normal of `rows` (R, 11): sums about
     the centres of these, near enough to the points to lose nothing."""
     fresh, n_shares = prior.copy(), min(threads_for(labels.size), 4)  # each thread walks over all labels
-    grid, regions, shares = (points, covariance, labels), (rows, hesse(rows), prior), _share_out(rows, n_shares)
+    shares, load = np.zeros(len(rows), dtype=np.int64), [0.0] * n_shares
+    for r in np.argsort(-rows[:, 0], kind="stable").tolist() if n_shares > 1 else ():
+        shares[r] = load.index(min(load))  # largest regions first, each to the share with the fewest points so far
+        load[shares[r]] += rows[r, 0]
+    grid, regions = (points, covariance, labels), (rows, hesse(rows), prior)
     in_parts(partial(_fit_shares, grid, regions, floor_variance, shares, fresh), n_shares, labels.size, singly=True)
     return fresh
-
-
-def _share_out(rows, n_shares):
-    """A share for every region, (R,): largest regions first, each to the share with the fewest points so far."""
-    share, load = np.zeros(len(rows), dtype=np.int64), [0.0] * n_shares
-    if n_shares > 1:
-        for r in np.argsort(-rows[:, 0], kind="stable").tolist():
-            share[r] = load.index(min(load))
-            load[share[r]] += rows[r, 0]
-    return share
 
 
 @njit(cache=True)

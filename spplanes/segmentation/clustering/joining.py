@@ -75,31 +75,24 @@ def fuse_neighbours(sheet: Sheet, views: FloatArray, gap: int, config: MapperCon
     planes = growing.hesse(sheet.rows)
     sheet.bias = growing.shared_of_regions(sheet.shared, sheet.labels, planes)
     regions = planes, np.ascontiguousarray(sheet.rows[:, 0]), config.flatness_m**2 + sheet.bias[:, 0]
-    pairs = border_pairs(sheet.grid, views, regions, gap)
-    edges = distinct_pairs(pairs, len(sheet.rows))
+    found: list[np.ndarray] = []
+    pairs_of_rows = partial(_pairs_of_rows, sheet.grid, views, regions, gap)
+    in_parts(lambda first, last: found.append(pairs_of_rows(first, last)), len(sheet.labels), sheet.labels.size)
+    edges = distinct_pairs(np.concatenate(found), len(sheet.rows))
     if len(edges):
         fuse(sheet, cluster_patches(sheet.rows, sheet.bias, edges, config))
 
 
-def border_pairs(grid, views, regions, gap):
-    """Pairs of unlike regions, (E, 2), that touch, or that an occluder parts along a row or column.
+@njit(cache=True)
+def _pairs_of_rows(grid, views, regions, gap, first, last):
+    """Pairs (E, 2) of unlike regions, one in the rows from first to last, the other beside or above it, that touch, or
+    that an occluder parts along a row or column. Some come several times, and in no particular order.
 
     With an occluder, the points between lie clearly before the plane; at most `gap` of them are missing, up to four of
     its edges lie on the plane. It is at most `gap` points wide, or `HIDDEN` times as wide as the smaller region, which
     else would not tell what is behind it. A gap of 0 asks for regions that touch. Points on the plane or behind it, a
-    seam or a doorway, show that the surface ends. Some pairs come several times, and in no particular order.
-
-    `regions` are planes, numbers of points and tolerances, m^2.
+    seam or a doorway, show that the surface ends. `regions` are planes, numbers of points and tolerances, m^2.
     """
-    found: list[np.ndarray] = []
-    pairs_of_rows = partial(_pairs_of_rows, grid, views, regions, gap)
-    in_parts(lambda first, last: found.append(pairs_of_rows(first, last)), len(grid[3]), grid[3].size)
-    return np.concatenate(found)
-
-
-@njit(cache=True)
-def _pairs_of_rows(grid, views, regions, gap, first, last):
-    """The pairs with one region in the rows from first to last, beside or above the other."""
     (points, covariance, valid, labels, _), (planes, sizes, bias) = grid, regions
     pairs, count = np.empty((1024, 2), dtype=np.int64), 0
     recent = np.full((256, 2), -1, dtype=np.int64)  # pairs found last, by which most repetitions are left out
@@ -123,7 +116,9 @@ def _pairs_of_rows(grid, views, regions, gap, first, last):
                     near = back <= gap + 1 or back <= HIDDEN * np.sqrt(sizes[max(q, 0)])
                     if q >= 0 and near and (back == 1 or in_front > 0):
                         if count == pairs.shape[0]:
-                            pairs = _with_room(pairs)
+                            room = np.empty((2 * count, 2), dtype=np.int64)
+                            copy_into(room, pairs)
+                            pairs = room
                         count += _enter(pairs, count, recent, min(q, r), max(q, r))
                     if back == farthest:
                         break
@@ -138,14 +133,6 @@ def _pairs_of_rows(grid, views, regions, gap, first, last):
                     else:
                         break
     return pairs[:count]
-
-
-@inlined
-def _with_room(pairs):
-    """Pairs with room for as many behind them."""
-    result = np.empty((2 * pairs.shape[0], 2), dtype=np.int64)
-    copy_into(result, pairs)
-    return result
 
 
 @inlined

@@ -19,22 +19,17 @@ BORDER_GAP = 12
 
 
 def spread(sheet: Sheet, views: FloatArray, config: MapperConfig) -> None:
-    """Grow regions to single points, fuse those that are one plane, settle borders."""
+    """Grow regions to single points, fuse those that are one plane, settle borders; the points of small regions that
+    larger ones within 40 points explain as well go to those."""
     _grow(sheet, config)
     refit(sheet, config)
     fuse_neighbours(sheet, views, 0, config)
     settle_borders(sheet, config)
-    if dissolve_superfluous(sheet, config):
-        refit(sheet, config)
-
-
-def dissolve_superfluous(sheet: Sheet, config: MapperConfig) -> int:
-    """Give the points of small regions that larger ones within 40 points explain as well to those; how many did."""
-    planes = growing.hesse(sheet.rows)
     edges = distinct_pairs(dissolving.near_pairs(sheet.labels, 40), len(sheet.rows))
     sizes = np.bincount(sheet.labels[sheet.labels >= 0], minlength=len(sheet.rows))
-    smallest_first = np.argsort(sizes, kind="stable")
-    return dissolving.dissolve(sheet.grid, sizes, smallest_first, edges, planes, config.flatness_m**2)
+    smallest_first, planes = np.argsort(sizes, kind="stable"), growing.hesse(sheet.rows)
+    if dissolving.dissolve(sheet.grid, sizes, smallest_first, edges, planes, config.flatness_m**2):
+        refit(sheet, config)
 
 
 def _grow(sheet: Sheet, config: MapperConfig) -> None:
