@@ -88,9 +88,8 @@ def as_covariance_stack(name: str, value: ArrayLike, size: int, count: int | Non
     matrices = 0.5 * (matrices + transposed)
     smallest = np.linalg.eigvalsh(matrices)[:, 0]
     if (smallest < -slack).any():
-        raise ValueError(
-            f"{name}: expected a positive semidefinite covariance, got smallest eigenvalue {smallest.min():.3g}"
-        )
+        got = f"smallest eigenvalue {smallest.min():.3g}"
+        raise ValueError(f"{name}: expected a positive semidefinite covariance, got {got}")
     return matrices
 
 

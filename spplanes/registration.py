@@ -56,9 +56,8 @@ def interpolate_poses(stamps_ns: ArrayLike, poses: ArrayLike, at_ns: ArrayLike) 
         where = int(np.argmax(np.diff(stamps) <= 0)) + 1
         raise ValueError(f"stamps_ns: expected ascending times, got {stamps[where]} after {stamps[where - 1]}")
     if wanted.size and (wanted.min() < stamps[0] or wanted.max() > stamps[-1]):
-        raise ValueError(
-            f"at_ns: expected times from {stamps[0]} to {stamps[-1]}, got {wanted.min()} to {wanted.max()}"
-        )
+        got = f"{wanted.min()} to {wanted.max()}"
+        raise ValueError(f"at_ns: expected times from {stamps[0]} to {stamps[-1]}, got {got}")
     if len(known) == 1:
         return np.repeat(known, len(wanted), axis=0)
     before = np.clip(np.searchsorted(stamps, wanted, side="right") - 1, 0, len(known) - 2)
@@ -76,10 +75,8 @@ def interpolate_poses(stamps_ns: ArrayLike, poses: ArrayLike, at_ns: ArrayLike) 
 
 def pose_covariance(x_y_theta: ArrayLike) -> FloatArray:
     """(6, 6) in (x, y, z, phi, theta, psi) of the covariance (3, 3) of a robot on the floor: x, y, heading."""
-    planar = as_shape("x_y_theta", x_y_theta, (3, 3))
-    result = np.zeros((6, 6))
-    rows = np.array([0, 1, 3])
-    result[np.ix_(rows, rows)] = planar
+    result, rows = np.zeros((6, 6)), [0, 1, 3]
+    result[np.ix_(rows, rows)] = as_shape("x_y_theta", x_y_theta, (3, 3))
     return result
 
 

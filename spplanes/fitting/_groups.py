@@ -158,8 +158,8 @@ def _run(how, inputs, fractions, fits, groups):
 
 def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
     """Fit one group whose scans have pose errors, from a start that does not know of them."""
-    if job.robust:
-        job = job.select(_inliers(job))
+    if job.robust and job.shared:
+        job = job.select(_inliers(job, job.shared))
     n = len(job.points)
     plain = fit_groups(replace(job, shared=None, robust=None), np.arange(n), np.array([0, n]))
     fits.status[g], fits.counts[g] = plain.status[0], n
@@ -178,11 +178,9 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
     fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fitted
 
 
-def _inliers(job: FitJob) -> np.ndarray:
+def _inliers(job: FitJob, shared: SharedPose) -> np.ndarray:
     """Indices of the points that a robust fit keeps, their scans' pose errors folded into their own covariances."""
-    n, shared = len(job.points), job.shared
-    if shared is None:
-        return np.arange(n)
+    n = len(job.points)
     noise = with_pose_errors(job.points, job.covariances, shared)
     fits = fit_groups(replace(job, covariances=noise, step=1, shared=None), np.arange(n), np.array([0, n]))
     if fits.status[0] != OK:

@@ -99,8 +99,14 @@ def fit_labelled(
     shared = shared_error_of(*flat, frames, covariances, stated=stated, least_m=least_m, estimate=estimate)
     covariances = shared.covariances
     if poses is not None:
-        grid = points, covariance, labels
-        covariances = covariances + _shared_parts(grid, frames, spreads, poses, config.pose_decay)
+        grid, (pose_covariances, origins) = (points, covariance, labels), poses
+        planes = np.concatenate((frames[:, :3, 2], np.zeros((len(frames), 1))), axis=1)
+        anchors = np.ascontiguousarray(frames[:, :3, 3])
+        total, running = np.zeros((len(frames), 4, 4)), np.zeros((len(frames), 6, 4))
+        errors = _pose_error.roots(pose_covariances), origins, config.pose_decay
+        _pose_error.accumulate(grid, (planes, anchors), errors, total, running)
+        parts = [_pose_error.covariance_of(*region) for region in zip(frames, spreads, anchors, total, strict=True)]
+        covariances = covariances + np.array(parts)
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
     chi2 = np.array([eigenvalues(row)[0] for row in every])
     factor = float(np.median(shared.noise_factors))
@@ -163,18 +169,6 @@ def frames_of(rows: FloatArray, eyes: FloatArray) -> tuple[FloatArray, FloatArra
         row_frame(row, eyes[r], frames[r], values)
         spreads[r] = row[1], values[2], values[1]
     return frames, spreads
-
-
-def _shared_parts(grid, frames, spreads, poses, decay) -> FloatArray:
-    """What the pose errors of the scans add to the covariances of the planes, shape (R, 3, 3)."""
-    pose_covariances, origins = poses
-    planes = np.concatenate((frames[:, :3, 2], np.zeros((len(frames), 1))), axis=1)
-    anchors = np.ascontiguousarray(frames[:, :3, 3])
-    total, running = np.zeros((len(frames), 4, 4)), np.zeros((len(frames), 6, 4))
-    errors = _pose_error.roots(pose_covariances), origins, decay
-    _pose_error.accumulate(grid, (planes, anchors), errors, total, running)
-    parts = [_pose_error.covariance_of(*region) for region in zip(frames, spreads, anchors, total, strict=True)]
-    return np.array(parts).reshape(-1, 3, 3)
 
 
 def outlines_in(

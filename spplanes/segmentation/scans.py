@@ -96,9 +96,7 @@ def label_scans(
         return Labelled(grid, variance, np.full(valid.shape, -1), views, None)
     poses, total, shared = None, variance, np.zeros((1, 1, 1))
     if pose_covariances is not None:
-        origins = (
-            np.zeros((len(grid), 3)) if scan_origins is None else _per_scan("scan_origins", scan_origins, len(grid))
-        )
+        origins = _per_scan("scan_origins", np.zeros(3) if scan_origins is None else scan_origins, len(grid))
         poses = as_covariance_stack("pose_covariances", pose_covariances, 6, len(grid)), origins
         shared = shared_by_scan(grid, *poses)
         total = shared + (variance if variance.shape[2] == 9 else variance * np.eye(3).reshape(9))

@@ -72,8 +72,7 @@ def _one_cell(row, cells, i0, j0):
                     if row[0] == 0.0:
                         about[0], about[1], about[2] = points[i, begin, 0], points[i, begin, 1], points[i, begin, 2]
                     add_run(row, points, covariance, i, begin, j, about, normal, floor_variance, last)
-                while j < j1 and not free[i, j]:
-                    j += 1
+                j += 1  # past what is not free
         if row[0] == 0.0:
             return
         centre_sums(row, about)

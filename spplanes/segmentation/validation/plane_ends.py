@@ -36,20 +36,14 @@ def sure_points(window: Window, labels: np.ndarray, frames: Sequence[FloatArray]
     stacked, covariance = np.array(frames), np.ascontiguousarray(window.covariances).reshape(*labels.shape, 9)
     doubtful = at_seams(window.points, covariance, labels, stacked, uneven_m)
     alike = np.abs(stacked[:, :3, 2] @ stacked[:, :3, 2].T) > SAME_WAY
-    return (labels >= 0) & ~doubtful & ~_at_ends(np.isfinite(window.points[..., 0]), labels, alike)
-
-
-def _at_ends(valid: np.ndarray, labels: np.ndarray, alike: np.ndarray) -> np.ndarray:
-    """Which points, of those on planes, have a return beside them that may be before or behind theirs, (S, B) bool: of
-    no plane, or of another that looks the same way, and so is what follows it."""
     n_rows, n_cols = labels.shape
-    around, returns = np.pad(labels, 2, constant_values=-1), np.pad(valid, 2)
-    found = np.zeros(labels.shape, dtype=bool)
+    around, returns = np.pad(labels, 2, constant_values=-1), np.pad(np.isfinite(window.points[..., 0]), 2)
+    at_ends = np.zeros(labels.shape, dtype=bool)
     for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         beside, beyond = (
             (slice(2 + k * down, 2 + k * down + n_rows), slice(2 + k * right, 2 + k * right + n_cols)) for k in (1, 2)
         )
         other = around[beside]
         told_apart = (other >= 0) & ~alike[labels, other]
-        found |= returns[beside] & (other != labels) & ~told_apart & (around[beyond] != labels)
-    return found
+        at_ends |= returns[beside] & (other != labels) & ~told_apart & (around[beyond] != labels)
+    return (labels >= 0) & ~doubtful & ~at_ends

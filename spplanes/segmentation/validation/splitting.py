@@ -60,9 +60,8 @@ def pure_labels(
         parts = parts_of(window, members, frame, uneven_m, step_m) if len(members) else []
         parted |= len(parts) > 1
         for part in parts:
-            if len(parts) == 1 or (
-                len(part) >= mapper.min_points and tells_tilt(window, part, frame, mapper.max_tilt_rad)
-            ):
+            large = len(part) >= mapper.min_points
+            if len(parts) == 1 or (large and tells_tilt(window, part, frame, mapper.max_tilt_rad)):
                 fresh.ravel()[part] = count
                 count += 1
     return fresh if parted else labels

@@ -51,7 +51,6 @@ def test_bad_points(points, message, method):
         (COVARIANCES[:19], r"covariances: expected shape \(20, 3, 3\), one for each point, got \(19, 3, 3\)"),
         (COVARIANCES[0], r"covariances: expected shape \(20, 3, 3\), one for each point, got \(3, 3\)"),
         (changed(3, np.nan), "covariances: expected finite numbers, got NaN or infinity at index 3"),
-        (changed(7, np.inf), "covariances: expected finite numbers, got NaN or infinity at index 7"),
         (changed(2, np.triu(np.ones((3, 3)))), "covariances: expected symmetric matrices, got one .* at index 2"),
         (changed(5, np.diag([1, 1, -1e-3])), "semidefinite matrices, got smallest eigenvalue -0.001 at index 5"),
         (changed(5, np.diag([-1, 1, 1])), "covariances: expected positive semidefinite matrices"),
@@ -71,7 +70,6 @@ def test_bad_covariances(covariances, message):
     [
         ({}, "covariances: expected either them or sigma, got neither"),
         ({"covariances": COVARIANCES, "sigma": 0.1}, "covariances: expected either them or sigma, got both"),
-        ({"sigma": 0.0}, "sigma: expected a positive finite number, got 0.0"),
         ({"sigma": 0.1, "method": "lsq"}, r"method: expected one of \('ml', 'sp'\), got 'lsq'"),
         ({"sigma": 0.1, "robust": "huber"}, r"robust: expected one of \(None, 'tukey'\), got 'huber'"),
         ({"sigma": 0.1, "robust": "tukey", "method": "sp"}, "robust: expected None with method 'sp', got 'tukey'"),

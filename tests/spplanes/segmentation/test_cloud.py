@@ -191,10 +191,8 @@ def test_a_grid_with_few_holes_is_searched_as_a_grid(room, monkeypatch):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"normals": np.ones((40, 180, 3))}, r"normals: expected none for a grid \(S, B, 3\), whose planes turn to"),
         ({"normals": np.ones((40, 3))}, r"normals: expected none for a grid \(S, B, 3\), whose planes turn to"),
         ({"viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\), got \(2,\)"),
-        ({"config": None}, "config: expected a MapperConfig, got NoneType"),
         ({"config": {}}, "config: expected a MapperConfig, got dict"),
         ({"cloud": POINTS, "normals": POINTS[:5]}, r"normals: expected shape \(7200, 3\)"),
         ({"cloud": POINTS, "viewpoint": (0.0, 0.0)}, r"viewpoint: expected shape \(3,\) or \(7200, 3\), got"),
