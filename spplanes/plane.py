@@ -92,13 +92,7 @@ class Plane:
 
     @classmethod
     def from_hesse(
-        cls,
-        normal: ArrayLike,
-        d: float,
-        covariance: ArrayLike,
-        *,
-        centre: ArrayLike | None = None,
-        n_points: int = 0,
+        cls, normal: ArrayLike, d: float, covariance: ArrayLike, *, centre: ArrayLike | None = None, n_points: int = 0
     ) -> Self:
         """The plane normal.x = d.
 

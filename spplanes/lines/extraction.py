@@ -53,11 +53,7 @@ class LineConfig:
             ("flatness", 0.0 <= self.flatness < np.inf, "a distance >= 0"),
             ("significance", 0.0 < self.significance < 0.5, "a probability in (0, 0.5)"),
             ("min_points", are_whole[0] and self.min_points >= 3, "a whole number of beams >= 3"),
-            (
-                "max_missing",
-                are_whole[1] and self.max_missing >= 0,
-                "a whole number of beams >= 0",
-            ),
+            ("max_missing", are_whole[1] and self.max_missing >= 0, "a whole number of beams >= 0"),
             ("max_turning", 0.0 < self.max_turning < np.pi, "an angle in (0, pi)"),
             ("max_nonlinearity", self.max_nonlinearity > 0.0, "a ratio above 0"),
             ("max_misfit", self.max_misfit > 1.0, "a ratio above 1"),

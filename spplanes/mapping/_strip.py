@@ -20,7 +20,7 @@ from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import shares_of
 from spplanes.segmentation.refinement.refining import BORDER_GAP
 from spplanes.segmentation.scans import as_grid, as_noise
-from spplanes.segmentation.sheet import Sheet, number_by_first_point
+from spplanes.segmentation.sheet import Sheet, number_by_first_point, renumbered
 
 #: Settled scans kept to show where regions reach in: as far as an occluder may part a plane.
 CONTEXT_SCANS = BORDER_GAP + 1
@@ -184,10 +184,8 @@ def _enter_pose_errors(strip, sheet, number, part, table, config) -> None:
     """Add the shared errors of settled scans to the sums of their regions."""
     here = np.flatnonzero(number >= 0)
     g = number[here]
-    local = np.full(len(number) + 1, -1, dtype=np.int64)
-    local[here] = np.arange(len(here))
     total, running = table.pose[g], table.running[g]
-    grid = sheet.points[part], strip.covariance[part], local[sheet.labels[part]]
+    grid = sheet.points[part], strip.covariance[part], renumbered(sheet.labels[part], here, len(number))
     errors = _pose_error.roots(strip.pose_covariances[part]), strip.origins[part], config.pose_decay
     _pose_error.accumulate(grid, (hesse(sheet.rows)[here], table.anchor[g]), errors, total, running)
     table.pose[g], table.running[g] = total, running

@@ -149,7 +149,7 @@ class CloudSearch:
         if shown is None and self.sigma is None:
             expected = "a standard deviation, for the cloud shows no flat places to measure it at"
             raise ValueError(f"sigma: expected {expected}")
-        least = 1e-4 if self.sigma is None else as_positive("sigma", self.sigma)  # of what was made
+        least = 1e-4 if self.sigma is None else as_positive("sigma", self.sigma)  # a cloud made up has none
         law = shown or NoiseLaw(np.zeros(1), np.zeros(1))
         law = law._replace(variances=np.maximum(law.variances, least**2))
         near = curve.neighbourhoods()  # by its own range alone a point that is measured too short has less noise

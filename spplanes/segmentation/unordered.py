@@ -57,9 +57,8 @@ class _Labelling:
         pairs = self.cells.neighbours
         itself = np.repeat(np.arange(n_cells)[:, None], 2, axis=1)
         both = np.concatenate((pairs, pairs[:, ::-1], itself))
-        self._touch: Any = csr_matrix(
-            (np.ones(len(both), np.int32), (both[:, 0], both[:, 1])), shape=(n_cells, n_cells)
-        )
+        ones = np.ones(len(both), np.int32)
+        self._touch: Any = csr_matrix((ones, (both[:, 0], both[:, 1])), shape=(n_cells, n_cells))
         self._cell = self.cells.of_points
         self.labels = np.full(len(self.points), -1)
 
