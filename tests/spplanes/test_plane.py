@@ -59,13 +59,6 @@ def test_hesse_form_known_answer():
     assert plane.d == 5.0
 
 
-def test_perturbed_plane_is_z_minus_theta_x_plus_psi_y():
-    z, theta, psi = 1e-6, 2e-6, 3e-6
-    plane = perturbed(Plane(np.eye(4), np.eye(3)), (z, theta, psi))
-    for x, y in ((0, 0), (1, 0), (0, 1), (2, -3)):
-        assert abs(plane.distance([x, y, z - theta * x + psi * y])) < 1e-10
-
-
 def test_transform_propagates_as_central_differences_do():
     rng = np.random.default_rng(1)
     for seed in range(20):

@@ -91,20 +91,13 @@ def _clear(rng, width: float, height: float, pose, radius: float) -> tuple[float
 
 
 def _boxes(rng, width, height, pose) -> list[np.ndarray]:
-    boxes = []
-    for _ in range(rng.integers(0, 3)):
-        size = rng.uniform(0.3, 1.0, 2)
-        x, y = _clear(rng, width, height, pose, 0.8)
-        boxes.append(box(x, y, size[0], size[1], rng.uniform(0, np.pi)))
-    return boxes
+    sizes = (rng.uniform(0.3, 1.0, 2) for _ in range(rng.integers(0, 3)))
+    return [box(*_clear(rng, width, height, pose, 0.8), *size, rng.uniform(0, np.pi)) for size in sizes]
 
 
 def _pillars(rng, width, height, pose) -> np.ndarray:
-    pillars = []
-    for _ in range(rng.integers(0, 5)):
-        radius = rng.uniform(0.03, 0.4)
-        pillars.append((*_clear(rng, width, height, pose, radius), radius))
-    return np.array(pillars).reshape(-1, 3)
+    radii = (rng.uniform(0.03, 0.4) for _ in range(rng.integers(0, 5)))
+    return np.array([(*_clear(rng, width, height, pose, radius), radius) for radius in radii]).reshape(-1, 3)
 
 
 def random_corridor(rng: np.random.Generator) -> tuple[World, tuple[float, float, float]]:

@@ -97,9 +97,7 @@ def test_open3d_clouds(room):
         segment_cloud(o3d.t.geometry.PointCloud())
 
 
-def test_the_noise_is_measured_or_asked_for(room):
-    sigmas = [np.sqrt(plane.covariance[0, 0] * plane.n_points) for plane in segment_cloud(room)[1]]
-    assert np.median(sigmas) == pytest.approx(SIGMA_M, rel=0.5)
+def test_noise_that_is_not_shown_is_asked_for(room):
     message = "sigma: expected a standard deviation, for the cloud shows no flat places"
     for no_planes in (room.reshape(-1, 3)[:20], np.random.default_rng(0).normal(size=(4_000, 3))):
         with pytest.raises(ValueError, match=message):
