@@ -71,7 +71,7 @@ def _simple(hint: Any) -> Test:
         return _is_whole
     if hint is float:
         return lambda value: isinstance(value, float | np.floating) or _is_whole(value)
-    if getattr(hint, "_is_protocol", False):  # an observation may be of a class of the caller's
+    if getattr(hint, "_is_protocol", False):  # a measurement of the pose may be of a class of the caller's
         return lambda value: hasattr(value, "factor")
     if hint in (str, bool, NoneType) or isinstance(hint, type):
         return lambda value: isinstance(value, hint)

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import numpy as np
-
 from factors._check import as_list
 from factors.association.decisions import AssociationGates, Candidate, Decision
+from factors.association.estimate import PlacedLandmarks
 from factors.association.grouping import group_planes
 from factors.association.joint_association import joint_compatibility
-from factors.association.landmark_extents import LandmarkExtent, LandmarkExtents, place_all
+from factors.association.landmark_extents import LandmarkExtents, place_all
 from factors.association.observations import Observation, as_observation
 from factors.association.prediction import Prediction
 from factors.association.probabilities import Posterior, posteriors
 from spplanes import Plane
-from spplanes._check import FloatArray, as_number, as_positive, check_instance
+from spplanes._check import as_number, as_positive, check_instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +130,8 @@ def _identities(
 ) -> dict[int, Identity]:
     """What each observation is, by its index, the firmest first."""
     order = sorted(range(len(seen)), key=lambda index: _rank(seen[index]))  # ties must not go by the order given
-    placed = _Placed(landmarks, prediction)
+    there = list(landmarks)
+    placed = PlacedLandmarks({one.key: one for one in there}, place_all(there, prediction.values))
     problem = joint_compatibility([seen[index] for index in order], prediction.pose_key, placed, prediction, gates)
     best = problem.best()
     return {
@@ -152,38 +152,3 @@ def _identity(index: int, decision: Decision, posterior: Posterior, least: float
         return Identity(index, decision.verdict, match, posterior.get(match, 0.0), posterior, decision.candidates)
     likeliest = max(posterior.values())
     return Identity(index, "unsure", None, likeliest, posterior, decision.candidates)
-
-
-@dataclass(frozen=True, eq=False)
-class _PlacedPlane:
-    world_T_plane: FloatArray
-
-
-class _Placed:
-    """Landmarks where a prediction has them."""
-
-    def __init__(self, landmarks: LandmarkExtents, prediction: Prediction) -> None:
-        self._landmarks = list(landmarks)
-        self._rows = {landmark.key: row for row, landmark in enumerate(self._landmarks)}
-        self._world_T_plane = place_all(self._landmarks, prediction.values)
-        bounds = np.array([landmark.extent.bounds for landmark in self._landmarks]).reshape(-1, 4)
-        middles = 0.5 * (bounds[:, :2] + bounds[:, 2:])
-        rotations, origins = self._world_T_plane[:, :3, :2], self._world_T_plane[:, :3, 3]
-        self._middles = np.einsum("nij,nj->ni", rotations, middles) + origins
-        self._radii = 0.5 * np.linalg.norm(bounds[:, 2:] - bounds[:, :2], axis=1)
-
-    def __getitem__(self, landmark_id: int, /) -> LandmarkExtent:
-        return self._landmarks[self._rows[landmark_id]]
-
-    def placed(self, landmark_id: int, /) -> _PlacedPlane:
-        """Where a landmark is."""
-        return _PlacedPlane(self._world_T_plane[self._rows[landmark_id]])
-
-    def near(
-        self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float, /
-    ) -> list[tuple[LandmarkExtent, _PlacedPlane]]:
-        """Landmarks of about a direction whose extent comes within `reach` of a place, in the order of their keys."""
-        facing = self._world_T_plane[:, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))
-        close = np.linalg.norm(self._middles - middle, axis=1) <= self._radii + reach
-        near = [self._landmarks[row] for row in np.flatnonzero(facing & close).tolist()]
-        return [(landmark, self.placed(landmark.key)) for landmark in near]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 
 import gtsam
 import numpy as np
 
+from factors._conventions import landmark_hesse
 from factors.association.observations import Observation, PlaneObservation, as_observation
 from spplanes import Plane
 from spplanes._check import FloatArray
-from spplanes.outlines.extents import Extent
+from spplanes.outlines.extents import Extent, settle_frames
 from spplanes.spmodel import inverse_transform
 
 
@@ -77,30 +79,76 @@ class Landmark(Protocol):
         """From how many poses it was seen."""
 
 
-class Placed(Protocol):
-    """Where a landmark is."""
+@dataclass(frozen=True, eq=False)
+class PlacedPlane:
+    """A landmark's plane frame in the world."""
+
+    world_T_plane: FloatArray
+    """Plane frame, shape (4, 4), z = normal; (x, y) are those of the landmark's extent."""
 
     @property
-    def world_T_plane(self) -> FloatArray:
-        """Its plane frame in the world, z the normal, (x, y) those of its extent, shape (4, 4)."""
+    def normal(self) -> FloatArray:
+        """Unit normal in the world, shape (3,)."""
+        return self.world_T_plane[:3, 2]
 
 
 AnyLandmark = TypeVar("AnyLandmark", bound=Landmark, covariant=True)
 
 
-class Landmarks(Protocol[AnyLandmark]):
-    """All landmarks, and where each of them is."""
+class PlacedLandmarks(Generic[AnyLandmark]):
+    """Landmarks by id, and where each of them was when they were placed last."""
+
+    def __init__(self, landmarks: dict[int, AnyLandmark], world_T_plane: FloatArray) -> None:
+        self._landmarks = landmarks
+        self._place(world_T_plane)
+
+    def __getitem__(self, landmark_id: int, /) -> AnyLandmark:
+        return self._landmarks[landmark_id]
+
+    def _place(self, world_T_plane: FloatArray) -> None:
+        """Plane frames of all landmarks, in their order, shape (N, 4, 4)."""
+        self._world_T_plane, self._ids = world_T_plane, list(self._landmarks)
+        self._rows = {landmark_id: row for row, landmark_id in enumerate(self._ids)}
+        bounds = np.array([landmark.extent.bounds for landmark in self._landmarks.values()]).reshape(-1, 4)
+        low, high = bounds[:, :2], bounds[:, 2:]
+        rotations, origins = world_T_plane[:, :3, :2], world_T_plane[:, :3, 3]
+        self._middles = np.einsum("nij,nj->ni", rotations, 0.5 * (low + high)) + origins
+        self._radii = 0.5 * np.linalg.norm(high - low, axis=1)
+
+    def placed(self, landmark_id: int, /) -> PlacedPlane:
+        """Where a landmark is."""
+        return PlacedPlane(self._world_T_plane[self._rows[landmark_id]])
 
     def near(
         self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float, /
-    ) -> Sequence[tuple[AnyLandmark, Placed]]:
-        """Landmarks of about a direction whose extent comes within `reach` (m) of a place, all in the world."""
+    ) -> list[tuple[AnyLandmark, PlacedPlane]]:
+        """Landmarks of about a direction that come within `reach` of a place, in their order.
 
-    def placed(self, landmark_id: int, /) -> Placed:
-        """Where a landmark is."""
+        Args:
+            normal: unit normal in the world, shape (3,).
+            middle: the place in the world, shape (3,).
+            reach: distance from there to the sphere around what was seen of the landmark, m.
+            max_angle: largest angle between the normals, rad.
+        """
+        close = np.flatnonzero(np.linalg.norm(self._middles - middle, axis=1) <= self._radii + reach)
+        facing = close[self._world_T_plane[close, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))]
+        ids = (self._ids[row] for row in facing.tolist())
+        return [(self._landmarks[one], self.placed(one)) for one in ids if one in self._rows]
 
-    def __getitem__(self, landmark_id: int, /) -> AnyLandmark:
-        """A landmark by its id."""
+    def sphere(self, landmark_id: int, /) -> tuple[FloatArray, float]:
+        """Middle (3,) in the world and radius of what was seen of a landmark."""
+        row = self._rows[landmark_id]
+        return self._middles[row], float(self._radii[row])
+
+
+def settled(
+    frames: Sequence[FloatArray], world_T_anchor: Sequence[FloatArray], planes: Sequence[gtsam.OrientedPlane3]
+) -> FloatArray:
+    """Plane frames in the world, (N, 4, 4), of frames in their anchors' that follow what is known of the planes."""
+    hesse = [landmark_hesse(plane) for plane in planes]
+    normals, distances = np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse])
+    followed = settle_frames(np.reshape(frames, (-1, 4, 4)), normals.reshape(-1, 3), distances)
+    return np.reshape(world_T_anchor, (-1, 4, 4)) @ followed
 
 
 def observation_factor(

@@ -9,7 +9,7 @@ from functools import partial
 import gtsam
 
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
-from factors.association.estimate import Estimate, KeyedCovariance, Landmark, Landmarks
+from factors.association.estimate import Estimate, KeyedCovariance, Landmark, PlacedLandmarks
 from factors.association.gating import Hypothesis, Innovation, State, elsewhere, hypotheses_of, innovations_of
 from factors.association.observations import Observation, PlaneObservation
 from factors.association.shortlist import Gaps, bounds_of, log_density, log_parallel_density, shortlist
@@ -132,7 +132,7 @@ class JointCompatibility:
 def joint_compatibility(
     observations: Sequence[Observation],
     pose_key: int,
-    landmarks: Landmarks[Landmark],
+    landmarks: PlacedLandmarks[Landmark],
     estimate: Estimate,
     gates: AssociationGates,
     hint: gtsam.NonlinearFactor | None = None,

@@ -11,12 +11,12 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from factors._check import as_key, plane_in, pose_in, told_key
-from factors._conventions import landmark_hesse
+from factors.association.estimate import settled
 from factors.association.observations import Observation, as_observation
 from factors.landmarks import plane_landmark
 from spplanes import Plane
 from spplanes._check import FloatArray, read_only
-from spplanes.outlines.extents import Extent, settle_frames
+from spplanes.outlines.extents import Extent
 from spplanes.spmodel import inverse_transform
 
 
@@ -141,13 +141,12 @@ class LandmarkExtents:
 
 def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArray:
     """Plane frames of landmarks in the world by an estimate, shape (N, 4, 4)."""
-    if not landmarks:
-        return np.empty((0, 4, 4))
     anchors = {key: _frame_of("landmarks", key, values) for key in {landmark.anchor_key for landmark in landmarks}}
-    planes = [landmark_hesse(plane_in("landmarks", values, landmark.key)) for landmark in landmarks]
-    normals, distances = np.array([normal for normal, _ in planes]), np.array([d for _, d in planes])
-    settled = settle_frames(np.array([landmark.anchor_T_plane for landmark in landmarks]), normals, distances)
-    return np.array([anchors[landmark.anchor_key] for landmark in landmarks]) @ settled
+    return settled(
+        [landmark.anchor_T_plane for landmark in landmarks],
+        [anchors[landmark.anchor_key] for landmark in landmarks],
+        [plane_in("landmarks", values, landmark.key) for landmark in landmarks],
+    )
 
 
 def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:

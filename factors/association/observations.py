@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot
-from typing import Any, Protocol, cast
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -22,50 +22,6 @@ from spplanes.spmodel import skew
 
 #: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
 _MIN_CUT = 0.5
-
-
-class Observation(Protocol):
-    """A measurement of a plane landmark."""
-
-    @property
-    def kind(self) -> str:
-        """Name of the factor type, for the audit."""
-
-    @property
-    def n_points(self) -> int:
-        """Number of beams behind the measurement."""
-
-    @property
-    def volume(self) -> float:
-        """Root of the determinant of the measurement's covariance, rad m (line) or rad^2 m (plane)."""
-
-    @property
-    def sigma_m(self) -> float:
-        """Standard deviation of where its middle lies along the normal, m."""
-
-    @property
-    def normal(self) -> FloatArray:
-        """Measured unit normal in the body frame, toward the sensor, shape (3,)."""
-
-    @property
-    def vertices(self) -> FloatArray:
-        """Corners of the seen patch in the body frame, shape (N, 3), m."""
-
-    def factor(
-        self,
-        pose_key: int,
-        plane_key: int,
-        anchor_key: int | None,
-        robust: str | None = None,
-        expected: gtsam.OrientedPlane3 | None = None,
-    ) -> Any:
-        """The measurement as a factor of a pose and an anchored landmark, which the body should see as `expected`."""
-
-    def full_plane(self, tilt_sigma_rad: float) -> Plane:
-        """The measurement as a plane of full rank; what it left open is closed by an assumption on the tilt."""
-
-    def patch_in(self, plane_T_body: FloatArray) -> BaseGeometry:
-        """The seen patch in the (x, y) coordinates of a plane frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,14 +228,18 @@ class LineObservation:
         return shapely.LineString(ends) if np.ptp(ends, axis=0).max() > 0.0 else shapely.Point(ends[0])
 
 
+#: A measurement of a plane landmark.
+Observation = PlaneObservation | LineObservation
+
+
 def as_observation(name: str, value: object) -> Observation:
     """An observation, or the one that a plane in the body frame is. ValueError: it is neither."""
     if isinstance(value, Plane):
         return PlaneObservation(value)
-    if not callable(getattr(value, "patch_in", None)):
+    if not isinstance(value, Observation):
         kind = type(value).__name__
         raise ValueError(f"{name}: expected a Plane, a PlaneObservation or a LineObservation, got {kind}")
-    return cast("Observation", value)
+    return value
 
 
 def planes_of(observations: Sequence[Observation]) -> list[Plane]:

@@ -10,7 +10,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from factors.association.decisions import OUTLINE_GAP_SCALE_M, AssociationGates
-from factors.association.estimate import AnyLandmark, Estimate, KeyedCovariance, Landmark, Landmarks, Placed
+from factors.association.estimate import AnyLandmark, Estimate, KeyedCovariance, Landmark, PlacedLandmarks, PlacedPlane
 from factors.association.gating import State
 from factors.association.observations import Observation
 from spplanes._check import FloatArray
@@ -62,7 +62,7 @@ def log_parallel_density(bounds: Bounds, n_near: int, gates: AssociationGates) -
     return float(np.log(gates.chance_factor * (n_near + 1) / (max(n_near, 1) * 2.0 * bounds.margin)))
 
 
-def shortlist(bounds: Bounds, landmarks: Landmarks[AnyLandmark], world_T_body: FloatArray) -> list[AnyLandmark]:
+def shortlist(bounds: Bounds, landmarks: PlacedLandmarks[AnyLandmark], world_T_body: FloatArray) -> list[AnyLandmark]:
     """Landmarks that the observation is compared with: those near by their bounds, then by their outlines."""
     middle = 0.5 * (bounds.vertices.min(axis=0) + bounds.vertices.max(axis=0))
     radius = float(np.linalg.norm(bounds.vertices - middle, axis=1).max())
@@ -72,7 +72,7 @@ def shortlist(bounds: Bounds, landmarks: Landmarks[AnyLandmark], world_T_body: F
     return [landmark for landmark, placed in near if _is_plausible(bounds, landmark, placed, world_T_body)]
 
 
-def _is_plausible(bounds: Bounds, landmark: Landmark, placed: Placed, world_T_body: FloatArray) -> bool:
+def _is_plausible(bounds: Bounds, landmark: Landmark, placed: PlacedPlane, world_T_body: FloatArray) -> bool:
     """Same side, similar direction, and near enough: bounds so wide that the chi2 test decides, not they."""
     plane_T_body = inverse_transform(placed.world_T_plane) @ world_T_body
     if float(plane_T_body[2, :3] @ bounds.observation.normal) < np.cos(min(bounds.angle, 0.5 * np.pi)):
@@ -89,7 +89,7 @@ class Gaps:
     def __init__(
         self,
         observations: Sequence[Observation],
-        landmarks: Landmarks[Landmark],
+        landmarks: PlacedLandmarks[Landmark],
         pose_key: int,
         estimate: Estimate,
         joint: KeyedCovariance,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from factors.association.observations import LineObservation, PlaneObservation
+from factors.association.observations import Observation, PlaneObservation
 from slam._field_types import check_fields
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
@@ -62,17 +62,16 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         as_shape("keyframe.viewpoint", keyframe.viewpoint, (3,))
     for index, seen in enumerate(keyframe.observations):
         name = f"keyframe.observations[{index}]"
-        if isinstance(seen, PlaneObservation | LineObservation):
-            check_fields(name, seen)
+        if not isinstance(seen, Observation):
+            raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
+        check_fields(name, seen)
         if isinstance(seen, PlaneObservation):
             check_extent(f"{name}.plane", seen.plane.frame, seen.plane.outline)
             _check_covariance(f"{name}.plane.covariance", seen.plane.covariance, (3,))
-        elif isinstance(seen, LineObservation):
+        else:
             _check_pose(f"{name}.body_T_sensor", seen.body_T_sensor)
             _check_covariance(f"{name}.line.covariance", seen.line.covariance, (2,))
             _check_near(f"{name}.line.endpoints", seen.line.endpoints, _LARGEST_PLANE_M)
-        elif not hasattr(seen, "factor"):
-            raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
     check_fields("keyframe", keyframe)
     for index, known in enumerate(keyframe.pose_measurements):
         try:

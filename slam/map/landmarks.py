@@ -10,11 +10,11 @@ import gtsam
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from factors import landmark_hesse
+from factors.association.estimate import PlacedLandmarks, settled
 from factors.association.observations import Observation
 from slam.backend.estimator import Backend
 from spplanes._check import FloatArray
-from spplanes.outlines.extents import Extent, settle_frames
+from spplanes.outlines.extents import Extent
 
 
 @dataclass(eq=False)
@@ -108,17 +108,12 @@ class Sighting:
     """Robust kernel on it where it is matched: of a place that the planes had to find some of it is wrong."""
 
 
-class LandmarkMap:
-    """All landmarks, and where each of them is in the world now."""
+class LandmarkMap(PlacedLandmarks[Landmark]):
+    """All landmarks, and where each of them is in the world, as of the last refresh."""
 
     def __init__(self) -> None:
-        self._landmarks: dict[int, Landmark] = {}
+        super().__init__({}, np.empty((0, 4, 4)))
         self._next_id = 0
-        self._ids: list[int] = []
-        self._rows: dict[int, int] = {}
-        self._world_T_plane = np.empty((0, 4, 4))
-        self._middles = np.empty((0, 3))
-        self._radii = np.empty(0)
 
     def __len__(self) -> int:
         return len(self._landmarks)
@@ -128,9 +123,6 @@ class LandmarkMap:
 
     def __contains__(self, landmark_id: object) -> bool:
         return landmark_id in self._landmarks
-
-    def __getitem__(self, landmark_id: int) -> Landmark:
-        return self._landmarks[landmark_id]
 
     def birth(self, observation: Observation, anchor_key: int, frame: FloatArray, plane_T_body: FloatArray) -> Landmark:
         """Make the landmark of an observation; `frame` is its plane frame in the anchor pose's frame."""
@@ -169,57 +161,6 @@ class LandmarkMap:
 
     def refresh(self, backend: Backend) -> None:
         """Place every landmark anew by the current estimate."""
-        self._ids = list(self._landmarks)
-        self._rows = {landmark_id: row for row, landmark_id in enumerate(self._ids)}
-        if not self._rows:
-            self._middles, self._radii = np.empty((0, 3)), np.empty(0)
-            return
-        anchors = {landmark.anchor_key for landmark in self}
-        poses = {key: backend.pose(key) for key in anchors}
-        births = np.array([landmark.anchor_T_birth for landmark in self])
-        hesse = [landmark_hesse(backend.plane(landmark.key)) for landmark in self]
-        settled = settle_frames(births, np.array([normal for normal, _ in hesse]), np.array([d for _, d in hesse]))
-        self._world_T_plane = np.array([poses[landmark.anchor_key] for landmark in self]) @ settled
-        low, high = np.split(np.array([landmark.extent.bounds for landmark in self]), 2, axis=1)
-        middles = 0.5 * (low + high)
-        rotations, origins = self._world_T_plane[:, :3, :3], self._world_T_plane[:, :3, 3]
-        self._middles = np.einsum("nij,nj->ni", rotations[:, :, :2], middles) + origins
-        self._radii = 0.5 * np.linalg.norm(high - low, axis=1)
-
-    def placed(self, landmark_id: int) -> PlacedPlane:
-        """Where a landmark is, as of the last refresh."""
-        return PlacedPlane(self._world_T_plane[self._rows[landmark_id]])
-
-    def near(
-        self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float
-    ) -> list[tuple[Landmark, PlacedPlane]]:
-        """Landmarks of about a direction that come within `reach` of a place, as of the last refresh.
-
-        Args:
-            normal: unit normal in the world, shape (3,).
-            middle: the place in the world, shape (3,).
-            reach: distance from there to the sphere around what was seen of the landmark, m.
-            max_angle: largest angle between the normals, rad.
-        """
-        close = np.flatnonzero(np.linalg.norm(self._middles - middle, axis=1) <= self._radii + reach)
-        facing = close[self._world_T_plane[close, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))]
-        ids = (self._ids[row] for row in facing.tolist())
-        return [(self._landmarks[key], self.placed(key)) for key in ids if key in self._rows]
-
-    def sphere(self, landmark_id: int) -> tuple[FloatArray, float]:
-        """Middle (3,) in the world and radius of what was seen of a landmark, as of the last refresh."""
-        row = self._rows[landmark_id]
-        return self._middles[row], float(self._radii[row])
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedPlane:
-    """A landmark's plane frame in the world by the current estimate."""
-
-    world_T_plane: FloatArray
-    """Plane frame, shape (4, 4), z = normal; (x, y) are those of the landmark's outline."""
-
-    @property
-    def normal(self) -> FloatArray:
-        """Unit normal in the world, shape (3,)."""
-        return self.world_T_plane[:3, 2]
+        poses = {key: backend.pose(key) for key in {landmark.anchor_key for landmark in self}}
+        frames, anchors = [one.anchor_T_birth for one in self], [poses[one.anchor_key] for one in self]
+        self._place(settled(frames, anchors, [backend.plane(one.key) for one in self]))

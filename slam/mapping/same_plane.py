@@ -9,10 +9,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import landmark_hesse
+from factors.association.estimate import PlacedPlane
 from slam.backend.estimator import Backend, JointCovariance
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
-from slam.map.landmarks import Landmark, PlacedPlane
+from slam.map.landmarks import Landmark
 from slam.map.state import EstimatorState
 from spplanes._check import FloatArray
 from spplanes.spmodel import skew

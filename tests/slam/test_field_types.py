@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from shapely import Point, Polygon, box
 
-from factors.association.observations import Observation
 from slam._field_types import check_fields, holds
+from slam.frontend.pose_measurements import PoseMeasurement
 from slam.lazy import Growing
 
 
@@ -32,7 +32,7 @@ class Numbers(Growing[int]):
 
 
 class Seen:
-    """An observation of the caller's own."""
+    """A measurement of the pose of the caller's own."""
 
     def factor(self) -> None: ...
 
@@ -59,7 +59,7 @@ PASSES: list[tuple[Any, ...]] = [
     (NDArray[np.float64], np.zeros((0, 3))),
     (np.ndarray, np.arange(3)),
     (Polygon, box(0, 0, 1, 1)),
-    (Sequence[Observation], [Seen()]),
+    (Sequence[PoseMeasurement], [Seen()]),
     (ALIAS, np.zeros(3)),
     (ALIAS | None, None),
 ]
@@ -81,7 +81,7 @@ REFUSED: list[tuple[Any, ...]] = [
     (ALIAS, [1.0], np.array(["a"])),
     (np.ndarray, np.array(["a"]), np.array([1j]), np.array([None])),
     (Polygon, Point(0, 0)),
-    (Sequence[Observation], [3]),
+    (Sequence[PoseMeasurement], [3]),
 ]
 
 
