@@ -51,48 +51,29 @@ if TYPE_CHECKING:
     from factors.structure import perpendicular_factor as perpendicular_factor
     from factors.structure import upright_prior as upright_prior
 
-_OF_MODULES = {
-    "_conventions": ("landmark_hesse",),
-    "archive": ("copy_graph",),
-    "association.associate": ("Association", "Identity", "associate"),
-    "association.estimate": ("observation_factor",),
-    "association.decisions": ("AssociationGates",),
-    "association.landmark_extents": ("LandmarkExtents",),
-    "association.observations": ("LineObservation", "PlaneObservation"),
-    "association.prediction": ("Prediction",),
-    "isam": ("isam2_parameters", "isam_covariance", "settle"),
-    "landmarks": (
-        "change_anchor",
-        "facing",
-        "joint_covariance",
-        "landmark_anchors",
-        "landmark_to_plane",
-        "plane_landmark",
-        "seen_plane",
-        "world_plane",
-        "world_plane_from_joint",
-    ),
-    "line": ("line_factor", "line_factor_2d"),
-    "plane": (
-        "anchored_plane_jacobian",
-        "get_ready",
-        "map_prior",
-        "plane_factor",
-        "plane_factors",
-        "plane_prior",
-    ),
-    "pose": (
-        "constant_velocity_factor",
-        "gravity_factor",
-        "odometry_factor",
-        "odometry_factor_2d",
-        "planar_motion_factor",
-        "pose_prior",
-        "relative_pose_factor",
-    ),
-    "structure": ("direction_prior", "distance_factor", "parallel_factor", "perpendicular_factor", "upright_prior"),
+#: Where each public name is.
+_HOMES = {
+    name: module
+    for module, names in {
+        "_conventions": "landmark_hesse",
+        "archive": "copy_graph",
+        "association.associate": "Association Identity associate",
+        "association.decisions": "AssociationGates",
+        "association.estimate": "observation_factor",
+        "association.landmark_extents": "LandmarkExtents",
+        "association.observations": "LineObservation PlaneObservation",
+        "association.prediction": "Prediction",
+        "isam": "isam2_parameters isam_covariance settle",
+        "landmarks": "change_anchor facing joint_covariance landmark_anchors landmark_to_plane plane_landmark"
+        " seen_plane world_plane world_plane_from_joint",
+        "line": "line_factor line_factor_2d",
+        "plane": "anchored_plane_jacobian get_ready map_prior plane_factor plane_factors plane_prior",
+        "pose": "constant_velocity_factor gravity_factor odometry_factor odometry_factor_2d planar_motion_factor"
+        " pose_prior relative_pose_factor",
+        "structure": "direction_prior distance_factor parallel_factor perpendicular_factor upright_prior",
+    }.items()
+    for name in names.split()
 }
-_HOMES = {name: module for module, names in _OF_MODULES.items() for name in names}
 __all__ = sorted(_HOMES)
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
 
-from factors.robust import Robust, gaussian, resolve_robust
+from factors.robust import Robust, gaussian
 from spplanes._check import FloatArray
 
 _Kernel = Callable[..., tuple[FloatArray, FloatArray]]
@@ -86,22 +86,14 @@ class Recipe:
             roles["plane_key"], roles["anchor_key"] = homes[self.plane_key]
         return replace(self, **roles)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, for JSON."""
-        plain = dict(vars(self))
-        plain["data"] = [np.asarray(array).tolist() for array in self.data]
-        plain["root_information"] = self.root_information.tolist()
-        plain["robust"] = resolve_robust(self.robust, self.dof)
-        return plain
-
     @staticmethod
-    def from_dict(plain: dict[str, Any]) -> Recipe:
-        """Inverse of `as_dict`."""
+    def of(plain: dict[str, Any]) -> Recipe:
+        """Of its fields as JSON has them."""
         fields = dict(plain)
         fields["data"] = tuple(np.array(array) if isinstance(array, list) else float(array) for array in plain["data"])
         fields["root_information"] = np.array(plain["root_information"])
         fields["more_keys"] = tuple(plain.get("more_keys", ()))
-        fields["robust"] = None if plain["robust"] is None else tuple(plain["robust"])
+        fields["robust"] = plain["robust"] and tuple(plain["robust"])
         return Recipe(**fields)
 
 
@@ -117,10 +109,11 @@ class VelocityRecipe:
     """Upper triangular R of the noise, GTSAM order along the axes of c, shape (6, 6)."""
     robust: Robust = None
     """Kernel of the noise model."""
+    dof: ClassVar[int] = 6
 
     def factor(self) -> gtsam.CustomFactor:
         """Make the factor, over its keys in their order."""
-        return gtsam.CustomFactor(gaussian(self.root_information, self.robust, 6), list(self.keys), self._error)
+        return gtsam.CustomFactor(gaussian(self.root_information, self.robust, self.dof), list(self.keys), self._error)
 
     def expected(self, a_T_b: gtsam.Pose3) -> gtsam.Pose3:
         """b_T_c after a motion from a to b."""
@@ -131,20 +124,11 @@ class VelocityRecipe:
         a, b, c = (names.get(key, key) for key in self.keys)
         return replace(self, keys=(a, b, c))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, for JSON."""
-        return {
-            "keys": list(self.keys),
-            "kept": self.kept.tolist(),
-            "root_information": self.root_information.tolist(),
-            "robust": resolve_robust(self.robust, 6),
-        }
-
     @staticmethod
-    def from_dict(plain: dict[str, Any]) -> VelocityRecipe:
-        """Inverse of `as_dict`."""
+    def of(plain: dict[str, Any]) -> VelocityRecipe:
+        """Of its fields as JSON has them."""
         a, b, c = plain["keys"]
-        robust = None if plain["robust"] is None else tuple(plain["robust"])
+        robust = plain["robust"] and tuple(plain["robust"])
         return VelocityRecipe((a, b, c), np.array(plain["kept"]), np.array(plain["root_information"]), robust)
 
     def _error(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:

@@ -23,6 +23,7 @@ import numpy as np
 
 from factors._check import told_key
 from factors._custom import Recipe, VelocityRecipe, describe
+from factors.robust import resolve_robust
 from spplanes._check import check_instance
 
 _FORMAT = "spplanes-graph/1"
@@ -43,7 +44,8 @@ def dumps(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values | None = None)
     if values is not None:
         check_instance("values", values, gtsam.Values)
     factors = [_written(graph.at(i), i) if graph.exists(i) else None for i in range(graph.size())]
-    return json.dumps({"format": _FORMAT, "factors": factors, "values": None if values is None else _values(values)})
+    document = {"format": _FORMAT, "factors": factors, "values": None if values is None else _values(values)}
+    return json.dumps(document, default=np.ndarray.tolist)
 
 
 def loads(text: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -126,7 +128,8 @@ def _written(factor: gtsam.NonlinearFactor, index: int) -> dict[str, Any]:
         recipe = describe(factor)
         if recipe is None:
             raise ArchiveError(f"factor {index}: expected a factor that can be archived, got a foreign CustomFactor")
-        return {"velocity" if isinstance(recipe, VelocityRecipe) else "custom": recipe.as_dict()}
+        plain = {**vars(recipe), "robust": resolve_robust(recipe.robust, recipe.dof)}
+        return {"velocity" if isinstance(recipe, VelocityRecipe) else "custom": plain}
     try:
         return {"gtsam": _alone(factor)}
     except RuntimeError as error:
@@ -138,9 +141,9 @@ def _read(written: dict[str, Any], keys: Sequence[int] | None = None) -> gtsam.N
     """The factor; a native one of planes over other keys where they are given."""
     kind, content = next(iter(written.items()))
     if kind == "custom":
-        return Recipe.from_dict(content).factor()
+        return Recipe.of(content).factor()
     if kind == "velocity":
-        return VelocityRecipe.from_dict(content).factor()
+        return VelocityRecipe.of(content).factor()
     if kind == "gtsam":
         return _from_alone(content)
     noise = _from_alone(content["noise"]).noiseModel()
