@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -14,51 +13,10 @@ from spplanes._check import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Gaussian:
-    """|root x - right|^2 of stacked tangents, as numbers alone: this is what travels."""
-
-    keys: tuple[int, ...]
-    """The variables, in the order of the columns."""
-    root: FloatArray
-    """Square root of the information, shape (R, C)."""
-    right: FloatArray
-    """Right-hand side, shape (R,)."""
-
-    @classmethod
-    def of(cls, graph: gtsam.GaussianFactorGraph) -> Gaussian:
-        """All factors of a linear graph as one."""
-        if not graph.size():
-            return cls((), np.empty((0, 0)), np.empty(0))
-        factor = gtsam.JacobianFactor(graph)
-        keys = [int(key) for key in factor.keys()]  # noqa: SIM118 - not a mapping
-        root, right = factor.jacobian()
-        return cls(tuple(keys), np.array(root), np.array(right))
-
-    def renamed(self, names: dict[int, int]) -> Gaussian:
-        """The same of variables with other keys."""
-        return replace(self, keys=tuple(names[key] for key in self.keys))
-
-    def factor(self) -> gtsam.CustomFactor:
-        """As a factor, linear at whatever values it is linearised at."""
-        sizes = [_size(key) for key in self.keys]
-        ends = np.cumsum(sizes).tolist()
-        blocks = [self.root[:, end - size : end] for size, end in zip(sizes, ends, strict=True)]
-        right = -self.right
-
-        def error(_: gtsam.CustomFactor, __: gtsam.Values, jacobians: Any) -> FloatArray:
-            if jacobians is not None:
-                for i, block in enumerate(blocks):
-                    jacobians[i] = block
-            return right
-
-        return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(right)), list(self.keys), error)
-
-
-@dataclass(frozen=True, eq=False)
 class Condensed:
     """A linear graph, such as a mission at one point of linearisation: what it shares, and the rest given that."""
 
-    shared: Gaussian
+    shared: gtsam.JacobianFactor
     """On the variables that were kept."""
     rest: gtsam.GaussianBayesNet
     """All others, given these."""
@@ -83,10 +41,15 @@ def condense(linear: gtsam.GaussianFactorGraph, keep: Sequence[int]) -> Condense
         Ni, Steedly, Dellaert, "Tectonic SAM", ICRA 2007, for submaps condensed onto what they share.
     """
     rest = sorted(set(linear.keys()).difference(keep))
-    if not rest:
-        return Condensed(Gaussian.of(linear), gtsam.GaussianBayesNet())
-    net, remaining = linear.eliminatePartialSequential(rest, gtsam.EliminateQR)
-    return Condensed(Gaussian.of(remaining), net)
+    net, remaining = gtsam.GaussianBayesNet(), linear
+    if rest:
+        net, remaining = linear.eliminatePartialSequential(rest, gtsam.EliminateQR)
+    return Condensed(gtsam.JacobianFactor(remaining) if remaining.size() else gtsam.JacobianFactor(), net)
+
+
+def renamed(factor: gtsam.JacobianFactor, names: Mapping[int, int]) -> gtsam.NonlinearFactor:
+    """A linear factor over variables of other keys; it is the same wherever it is linearised."""
+    return gtsam.LinearContainerFactor(factor).rekey([names[key] for key in factor.keys()])  # noqa: SIM118
 
 
 class Solved:
@@ -99,8 +62,8 @@ class Solved:
         end = 0
         for index in range(net.size()):
             key = net.at(index).firstFrontalKey()
-            self._rows[key] = slice(end, end + _size(key))
-            end += _size(key)
+            first, end = end, end + len(self.steps.at(key))
+            self._rows[key] = slice(first, end)
         # GTSAM's own marginals go by normal equations, which the tightest and the widest prior of one graph overtax
         root, _ = net.matrix()
         self._inverse = np.asarray(solve_triangular(root, np.eye(end)), dtype=np.float64)
@@ -114,8 +77,3 @@ class Solved:
         """The largest step of any variable in its standard deviations."""
         steps = ((self.steps.at(key), self.covariance([key])) for key in self._rows)
         return max((float(np.sqrt(step @ np.linalg.solve(spread, step))) for step, spread in steps), default=0.0)
-
-
-def _size(key: int) -> int:
-    """Dimension of a variable: of a pose (of a keyframe, a prior map, a mission's base) 6, of a plane 3."""
-    return 6 if chr(key >> 56) in "xmb" else 3

@@ -198,7 +198,7 @@ def _solved(
         more = found_to_be_one(solution, maybe, config)
         if not more:
             break
-        solution = solution.with_ties([*solution.ties, *more], shared)
+        solution = replace(solution, ties=(*solution.ties, *more))
         solution.solve()
     return JoinedComponent(tuple(members), solution, classes_of(solution.ties, maps))
 
@@ -211,8 +211,8 @@ def _contradicted(component: Component, solution: JointSolution, config: SlamCon
     numbers = {name: number for number, name in enumerate(component.missions)}
     whole, worst = solution.chi2(solution.ties), (0.0, None)
     for overlap in component.overlaps:
-        pair = tuple(sorted((numbers[overlap.first], numbers[overlap.second])))
-        others = [tie for tie in solution.ties if tie.missions != pair]
+        pair = {numbers[overlap.first], numbers[overlap.second]}
+        others = [tie for tie in solution.ties if {tie.first.mission, tie.second.mission} != pair]
         count = len(solution.ties) - len(others)
         if not count:
             continue

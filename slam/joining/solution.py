@@ -12,7 +12,7 @@ import numpy as np
 
 from factors import anchored_plane_jacobian, pose_prior
 from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD
-from slam.joining.condensation import Condensed, Solved, condense
+from slam.joining.condensation import Condensed, Solved, condense, renamed
 from slam.joining.mission import MissionGraph
 from slam.mapping.same_plane import anchored_difference
 from spplanes._check import FloatArray
@@ -26,12 +26,10 @@ _APART = 1 << 40
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """A landmark of a mission."""
+    """A landmark, by its id, of a mission, by its number."""
 
     mission: int
-    """Number of the mission."""
     landmark: int
-    """The landmark's id in it."""
 
 
 @dataclass(frozen=True, order=True)
@@ -39,14 +37,7 @@ class Tie:
     """Two landmarks of two missions that are one plane."""
 
     first: Place
-    """One of them."""
     second: Place
-    """The other."""
-
-    @property
-    def missions(self) -> tuple[int, int]:
-        """Whose they are, ascending."""
-        return min(self.first.mission, self.second.mission), max(self.first.mission, self.second.mission)
 
 
 def joint_key(mission: int, key: int) -> int:
@@ -60,14 +51,11 @@ def base_key(mission: int) -> int:
 
 
 class TiedKeys(NamedTuple):
-    """Keys of one side of a tie in the graph of many missions."""
+    """Keys of one side of a tie in the graph of many missions: the mission's base, the landmark's anchor, its own."""
 
     base: int
-    """Of the mission's base."""
     anchor: int
-    """Of the landmark's anchor."""
     plane: int
-    """Of the landmark."""
 
 
 def tie_factor(first: TiedKeys, second: TiedKeys) -> gtsam.CustomFactor:
@@ -156,12 +144,6 @@ class JointSolution:
                 return
         raise JoinError(f"expected missions that fit together, got some that still move after {_ROUNDS} steps")
 
-    def with_ties(self, ties: Sequence[Tie], shared: Mapping[int, tuple[int, ...]]) -> JointSolution:
-        """The same missions from where they are, with other ties."""
-        return JointSolution(
-            self.graphs, self.starts, shared, tuple(ties), dict(self.bases), dict(self.values), self.floor_sigmas
-        )
-
     def chi2(self, ties: Sequence[Tie]) -> float:
         """Least squared error of the linear joint graph, with some ties."""
         linear = self._linear(ties)
@@ -201,7 +183,7 @@ class JointSolution:
         graph = self.graphs[mission].factors.linearize(self.values[mission])
         values = gtsam.Values(self.values[mission])
         values.insert(base_key(mission), self.bases[mission])
-        graph.push_back(told.renamed(own).factor().linearize(values))
+        graph.push_back(renamed(told, own).linearize(values))
         return MissionPosterior(mission, self, graph)
 
     def _kept(self, mission: int) -> list[int]:
@@ -219,9 +201,8 @@ class JointSolution:
         """The joint graph, linear: missions condensed, their bases, ties."""
         graph = gtsam.NonlinearFactorGraph()
         for number, condensed in self._condensed.items():
-            if number != without and len(condensed.shared.right):
-                names = {key: joint_key(number, key) for key in condensed.shared.keys}
-                graph.push_back(condensed.shared.renamed(names).factor())
+            if number != without and condensed.shared.rows():
+                graph.push_back(renamed(condensed.shared, {key: joint_key(number, key) for key in self._kept(number)}))
         for number, start in self.starts.items():
             if number == min(self.starts):
                 graph.push_back(pose_prior(base_key(number), start, _EXACT**2 * np.eye(6)))
@@ -293,8 +274,8 @@ class MissionPosterior:
         return self._marginal(sorted({base_key(self.mission), *(key for pair in planes for key in pair)}))
 
     def _marginal(self, keys: Sequence[int]) -> Solved:
-        graph, values = gtsam.GaussianFactorGraph(), gtsam.Values()
-        graph.push_back(condense(self.graph, keys).shared.factor().linearize(values))
+        graph = gtsam.GaussianFactorGraph()
+        graph.push_back(condense(self.graph, keys).shared)
         return Solved(graph)
 
 
