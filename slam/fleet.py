@@ -231,8 +231,6 @@ class Order:
 class Mapped:
     """What became of an order."""
 
-    name: str
-    """Of the mission."""
     folder: str | None
     """The run's folder; None: the log could not be used."""
     reason: str = ""
@@ -251,18 +249,18 @@ def map_log(order: Order) -> Mapped:
     try:
         key = order.key()
     except OSError as error:
-        return Mapped(order.name, None, f"{order.log}: cannot be read ({error.strerror or error})")
+        return Mapped(None, f"{order.log}: cannot be read ({error.strerror or error})")
     folder = order.store / key
     known = _record_in(folder)
     if known is None:
         try:
             _map(order, folder)
         except (ValueError, ImportError, ArchiveError) as error:
-            return Mapped(order.name, None, " ".join(str(error).split()))
+            return Mapped(None, " ".join(str(error).split()))
         known = _record_in(folder)
     if known is None:
         raise OSError(f"{folder}: cannot be read back")  # the store is not shared, or full: done again elsewhere
-    return Mapped(order.name, str(folder), "", replace(known.mission, name=order.name))
+    return Mapped(str(folder), "", replace(known.mission, name=order.name))
 
 
 def open_mapped(folder: str, name: str) -> FinishedMission:

@@ -106,12 +106,7 @@ def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: Float
         a, b: the maps.
         pairs: which of their planes are one.
         a_T_b: about the motion, shape (4, 4).
-
-    Raises:
-        ValueError: no pairs.
     """
-    if not pairs:
-        raise ValueError("pairs: expected at least one, got none")
     start, level = a_T_b, _level_information(a_T_b)
     residual, whitened = whitened_differences(a, b, pairs, a_T_b)
     for _ in range(_STEPS):
@@ -129,7 +124,7 @@ def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: Float
     return Alignment(
         a_T_b,
         np.linalg.inv(information).astype(np.float64),
-        tuple((int(i), int(j)) for i, j in pairs),
+        tuple(pairs),
         float(residual @ residual),
         3 * len(pairs) - fixed,
         int(np.argmax(shares)),

@@ -103,14 +103,12 @@ def names_of(runs: Sequence[Path | str]) -> list[str]:
         ValueError: one run is given twice.
     """
     paths = [Path(run).resolve() for run in runs]
-    if not paths:
-        return []
     twice = [path for path in paths if paths.count(path) > 1]
     if twice:
         raise ValueError(f"runs: expected different ones, got {twice[0]} twice")
     bare = [path.with_name(path.name.removesuffix(".gz")) if path.is_file() else path for path in paths]
     parts = [(short.with_suffix("") if path.is_file() else path).parts for path, short in zip(paths, bare, strict=True)]
-    for depth in range(1, max(len(part) for part in parts) + 1):
+    for depth in range(1, max(map(len, parts), default=0) + 1):
         names = ["-".join(part[-depth:]) for part in parts]
         if len(set(names)) == len(names):
             return names
@@ -159,13 +157,11 @@ def _compared(
         raise ValueError(
             f"guesses: expected names of runs, {', '.join(missions)}, got {unknown[0][0]}, {unknown[0][1]}"
         )
+    known = {(b, a): inverse(b_T_a) for (a, b), b_T_a in guesses.items()} | dict(guesses)
     found = []
-    for done, (first, second) in enumerate(pairs):
-        guess = guesses.get((first, second))
-        if guess is None and (second, first) in guesses:
-            guess = inverse(guesses[second, first])
-        a, b = missions[first].mission, missions[second].mission
-        found.append(compare_missions(a, b, config, significance=significance / len(pairs), guess=guess))
+    for done, pair in enumerate(pairs):
+        a, b = (missions[name].mission for name in pair)
+        found.append(compare_missions(a, b, config, significance=significance / len(pairs), guess=known.get(pair)))
         if progress is not None:
             progress(done + 1, len(pairs))
     return found
@@ -180,10 +176,8 @@ def _solved(
     ties = ties_of(component.overlaps, maps)
     starts = {number: component.common_T_mission[name] for number, name in enumerate(component.missions)}
     maybe = candidates(maps, starts, ties, config)
-    shared = shared_by(len(members), [*ties, *maybe])
-    solution = JointSolution(
-        {number: member.graph for number, member in enumerate(members)}, starts, shared, tuple(ties)
-    )
+    graphs = {number: member.graph for number, member in enumerate(members)}
+    solution = JointSolution(graphs, starts, shared_by(len(members), [*ties, *maybe]), tuple(ties))
     try:
         solution.solve()
     except JoinError as error:
@@ -277,13 +271,12 @@ def candidates(
 ) -> list[Tie]:
     """Landmarks that may turn out to be one once all missions are solved together: they lie over each other."""
     known, found = set(ties), []
-    for a, mine in enumerate(missions):
-        for b in range(a + 1, len(missions)):
-            a_T_b = inverse(common_T_mission[a]) @ common_T_mission[b]
-            for i, j, apart in facing_pairs(mine, missions[b], a_T_b, config.association):
-                tie = Tie(Place(a, mine.planes[i].id), Place(b, missions[b].planes[j].id))
-                if apart <= config.loops.tied_m and tie not in known:
-                    found.append(tie)
+    for (a, mine), (b, theirs) in combinations(enumerate(missions), 2):
+        a_T_b = inverse(common_T_mission[a]) @ common_T_mission[b]
+        for i, j, apart in facing_pairs(mine, theirs, a_T_b, config.association):
+            tie = Tie(Place(a, mine.planes[i].id), Place(b, theirs.planes[j].id))
+            if apart <= config.loops.tied_m and tie not in known:
+                found.append(tie)
     return found
 
 
@@ -302,8 +295,5 @@ def found_to_be_one(solution: JointSolution, maybe: Sequence[Tie], config: SlamC
 
 def shared_by(count: int, ties: Iterable[Tie]) -> dict[int, tuple[int, ...]]:
     """By mission, of so many, the landmarks that ties are about."""
-    shared: dict[int, set[int]] = {number: set() for number in range(count)}
-    for tie in ties:
-        for place in (tie.first, tie.second):
-            shared[place.mission].add(place.landmark)
-    return {number: tuple(sorted(landmarks)) for number, landmarks in shared.items()}
+    places = sorted({place for tie in ties for place in (tie.first, tie.second)})
+    return {number: tuple(one.landmark for one in places if one.mission == number) for number in range(count)}

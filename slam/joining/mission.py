@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -156,11 +156,11 @@ class FinishedMission:
             ArchiveError: a factor that is not ours.
         """
         mission, graph = self.mission, self.graph
-        trajectory, looks = _fields_of(mission.trajectory), [_fields_of(look) for look in mission.looks]
+        trajectory, looks = vars(mission.trajectory), [vars(look) for look in mission.looks]
         landmarks = [(one, *keys) for one, keys in graph.planes.items()]
         content = encode(
             {
-                "mission": {**_fields_of(mission), "trajectory": trajectory, "looks": looks},
+                "mission": {**vars(mission), "trajectory": trajectory, "looks": looks},
                 "factors": dumps(graph.factors, graph.values),
                 "landmarks": np.array(landmarks, dtype=np.int64).reshape(-1, 3),
                 "carriers": np.array(graph.carriers, dtype=np.int64),
@@ -186,11 +186,6 @@ class FinishedMission:
             return cls(Mission(**known), graph, SlamConfig.model_validate(json.loads(plain["config"])), rig)
         except (ArchiveError, KeyError, TypeError) as error:
             raise RecordError("expected the record of a mission with its graph, got another") from error
-
-
-def _fields_of(one: Any) -> dict[str, Any]:
-    """A dataclass as a dict of its fields, these as they are."""
-    return {field.name: getattr(one, field.name) for field in fields(one)}
 
 
 def _opened(data: bytes) -> dict[str, Any]:

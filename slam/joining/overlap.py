@@ -192,14 +192,12 @@ def _verified(
     a: Mission, b: Mission, hypothesis: FloatArray, covariance: FloatArray, config: SlamConfig
 ) -> Alignment | None:
     """The motion by all common planes, at the height at which most planes are one; None where too few agree."""
-    best: Alignment | None = None
+    tried = []
     for height in _heights(a, b, hypothesis, config):
         raised = hypothesis.copy()
         raised[2, 3] = height
-        found = _settled(a, b, raised, covariance, config)
-        if found is not None and (best is None or len(found.pairs) > len(best.pairs)):
-            best = found
-    return best
+        tried.append(_settled(a, b, raised, covariance, config))
+    return max((one for one in tried if one is not None), key=lambda one: len(one.pairs), default=None)
 
 
 def _settled(
