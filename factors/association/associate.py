@@ -96,21 +96,6 @@ def associate(
         ValueError: what is no observation, a singular covariance, landmarks or anchors that are not in the prediction's
             values, covariances that are not finite, a probability outside [0, 1], a tilt that is not positive.
     """
-    gates, least = _checked(prediction, landmarks, gates, least_probability)
-    tilt_rad = as_positive("wall_tilt_sigma_rad", wall_tilt_sigma_rad)
-    given = as_list("observations", observations)
-    seen = [as_observation(f"observations[{i}]", observation) for i, observation in enumerate(given)]
-    identities = _identities(seen, prediction, landmarks, gates, least)
-    new = [index for index, identity in identities.items() if identity.verdict == "new"]
-    groups = group_planes([seen[index] for index in new], gates, tilt_rad, [True] * len(new))
-    new_planes = tuple(tuple(new[member] for member in group) for group in groups)
-    return Association(tuple(identities[index] for index in range(len(seen))), new_planes)
-
-
-def _checked(
-    prediction: Prediction, landmarks: LandmarkExtents, gates: AssociationGates | None, least_probability: float
-) -> tuple[AssociationGates, float]:
-    """The gates and the least probability, where all four are what `associate` takes."""
     check_instance("prediction", prediction, Prediction)
     check_instance("landmarks", landmarks, LandmarkExtents)
     least = as_number("least_probability", least_probability)
@@ -118,26 +103,22 @@ def _checked(
         raise ValueError(f"least_probability: expected a number from 0 to 1, got {least}")
     gates = AssociationGates() if gates is None else gates
     check_instance("gates", gates, AssociationGates)
-    return gates, least
+    tilt_rad = as_positive("wall_tilt_sigma_rad", wall_tilt_sigma_rad)
+    seen = [as_observation(f"observations[{i}]", one) for i, one in enumerate(as_list("observations", observations))]
 
-
-def _identities(
-    seen: Sequence[Observation],
-    prediction: Prediction,
-    landmarks: LandmarkExtents,
-    gates: AssociationGates,
-    least: float,
-) -> dict[int, Identity]:
-    """What each observation is, by its index, the firmest first."""
     order = sorted(range(len(seen)), key=lambda index: _rank(seen[index]))  # ties must not go by the order given
-    there = list(landmarks)
-    placed = PlacedLandmarks({one.key: one for one in there}, place_all(there, prediction.values))
+    known = list(landmarks)
+    placed = PlacedLandmarks({one.key: one for one in known}, place_all(known, prediction.values))
     problem = joint_compatibility([seen[index] for index in order], prediction.pose_key, placed, prediction, gates)
     best = problem.best()
-    return {
+    identities = {
         index: _identity(index, best.decisions[rank], posterior, least)
         for rank, (index, posterior) in enumerate(zip(order, posteriors(problem, best), strict=True))
     }
+    new = [index for index, identity in identities.items() if identity.verdict == "new"]
+    groups = group_planes([seen[index] for index in new], gates, tilt_rad, [True] * len(new))
+    new_planes = tuple(tuple(new[member] for member in group) for group in groups)
+    return Association(tuple(identities[index] for index in range(len(seen))), new_planes)
 
 
 def _rank(observation: Observation) -> tuple[float, ...]:

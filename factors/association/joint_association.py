@@ -159,7 +159,10 @@ def joint_compatibility(
     near = [shortlist(one, landmarks, world_T_body) for one in bounds]
     chances = [log_density(one, len(found), gates) for one, found in zip(bounds, near, strict=True)]
     parallel = [log_parallel_density(one, len(found), gates) for one, found in zip(bounds, near, strict=True)]
-    shortlists = _asked_for(near, among, trusted)
+    shortlists = [
+        [one for one in found if (trusted is None or index in trusted) and (among is None or one.id in among)]
+        for index, found in enumerate(near)
+    ]
     ordered = sorted({pose_key, *_keys_of(shortlists, hint)})
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
@@ -172,20 +175,6 @@ def joint_compatibility(
     hypotheses = [hypotheses_of(one, found, pose_key, joint, there, estimate, change) for one, found in pairs]
     n_points = [observation.n_points for observation in observations]
     return JointCompatibility(hypotheses, chances, parallel, gaps.away, gaps.within, n_points, informed, honest, gates)
-
-
-def _asked_for(
-    near: Sequence[Sequence[Landmark]], among: Collection[int] | None, trusted: Collection[int] | None
-) -> list[list[Landmark]]:
-    """Of the landmarks near each observation those `among`, and of observations that are not `trusted` none."""
-    return [
-        [
-            landmark
-            for landmark in found
-            if (trusted is None or index in trusted) and (among is None or landmark.id in among)
-        ]
-        for index, found in enumerate(near)
-    ]
 
 
 def _keys_of(shortlists: Sequence[Sequence[Landmark]], hint: gtsam.NonlinearFactor | None) -> set[int]:

@@ -36,12 +36,12 @@ def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Poste
     gaps = _gaps(problem)
     joint = _distinct([best, *(problem.decide_all(start) for start in _rivals(problem, best, gaps))])
     weighed = [_weigh(problem, one, gaps) for one in joint]
-    logs = np.array([log for log, _ in weighed])
+    logs = np.array([one.log_likelihood for one in weighed])
     kept = np.flatnonzero(logs >= logs.max() - _NEGLIGIBLE)
     weights = np.exp(logs[kept] - logs.max())
     found: list[Posterior] = [{} for _ in problem.hypotheses]
     for weight, number in zip((weights / weights.sum()).tolist(), kept.tolist(), strict=True):
-        for index, conditional in _conditionals(problem, weighed[number][1], gaps):
+        for index, conditional in _conditionals(problem, weighed[number], gaps):
             for landmark, probability in conditional.items():
                 found[index][landmark] = found[index].get(landmark, 0.0) + weight * probability
     return found
@@ -51,10 +51,8 @@ def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
     """How much less likely each landmark is for where an observation lies than the nearest that passes, in nats."""
     state, gaps = problem.state(), []
     for index, hypotheses in enumerate(problem.hypotheses):
-        away = {
-            hypothesis.candidate.landmark: problem.away(index, hypothesis.candidate.landmark)
-            for hypothesis in hypotheses
-        }
+        landmarks = [hypothesis.candidate.landmark for hypothesis in hypotheses]
+        away = {landmark: problem.away(index, landmark) for landmark in landmarks}
         passing = [
             away[innovation.candidate.landmark]
             for innovation in innovations_of(hypotheses, state)
@@ -73,14 +71,11 @@ def _rivals(
     for index, hypotheses in enumerate(problem.hypotheses):
         match, chance = best.decisions[index].match, problem.chances[index]
         taken = None if match is None else match.landmark
+        candidates = (innovation.candidate for innovation in innovations_of(hypotheses, state))
         passing = [
-            (
-                innovation.candidate.log_likelihood - gaps[index][innovation.candidate.landmark],
-                innovation.candidate.landmark,
-            )
-            for innovation in innovations_of(hypotheses, state)
-            if innovation.candidate.p_value >= problem.gates.significance
-            and innovation.candidate.log_likelihood >= chance
+            (one.log_likelihood - gaps[index][one.landmark], one.landmark)
+            for one in candidates
+            if one.p_value >= problem.gates.significance and one.log_likelihood >= chance
         ]
         most = max((log for log, _ in passing), default=0.0)
         rivals += [(most - log, index, landmark) for log, landmark in passing if landmark != taken]
@@ -97,19 +92,20 @@ def _distinct(joint: Sequence[JointHypothesis]) -> list[JointHypothesis]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
+class _Weighed:
     """A joint hypothesis as updates of the state."""
 
+    log_likelihood: float
+    """Of all observations."""
     matched: list[tuple[int, Hypothesis]]
     """Observations that are a landmark, and that one's hypothesis."""
+    others: list[int]
+    """Observations that are none."""
     state: State
     """The state that knows all of them."""
 
 
-def _weigh(
-    problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[dict[int, float]]
-) -> tuple[float, _Known]:
-    """Log likelihood of all observations under a joint hypothesis."""
+def _weigh(problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[dict[int, float]]) -> _Weighed:
     state, matched, total = problem.state(), [], 0.0
     for index, hypotheses in enumerate(problem.hypotheses):
         match = joint.decisions[index].match
@@ -119,19 +115,19 @@ def _weigh(
             total += innovation.candidate.log_likelihood - gaps[index][hypothesis.candidate.landmark]
             state.condition(innovation)
             matched.append((index, hypothesis))
-    others = set(range(len(problem.hypotheses))) - {index for index, _ in matched}
-    for index in sorted(others):
+    others = sorted(set(range(len(problem.hypotheses))) - {index for index, _ in matched})
+    for index in others:
         total += _log_none(problem, index, innovations_of(problem.hypotheses[index], state))
-    return total, _Known(matched, state)
+    return _Weighed(total, matched, others, state)
 
 
 def _conditionals(
-    problem: JointCompatibility, known: _Known, gaps: Sequence[dict[int, float]]
+    problem: JointCompatibility, known: _Weighed, gaps: Sequence[dict[int, float]]
 ) -> Iterator[tuple[int, Posterior]]:
     """Of every observation, its posterior given what the others are."""
     for index, state in _each_left_out(problem.state(), known.matched):
         yield index, _conditional(problem, index, state, gaps[index])
-    for index in sorted(set(range(len(problem.hypotheses))) - {index for index, _ in known.matched}):
+    for index in known.others:
         yield index, _conditional(problem, index, known.state, gaps[index])
 
 
