@@ -17,14 +17,7 @@ from slam.frontend.pose_measurements import PlaceMatch
 from slam.loop_closure.candidates import DrivenPath
 from slam.loop_closure.pairwise_consistency import Proposal, counted_once
 from slam.loop_closure.proposals import Proposals, Trial, evidence_of_map
-from slam.loop_closure.verification import (
-    LoopDecision,
-    Surroundings,
-    compare_with_old,
-    joined,
-    proposed,
-    without_walls,
-)
+from slam.loop_closure.verification import LoopDecision, Surroundings, compare_with_old, joined, proposed, without_walls
 from slam.map.state import EstimatorState
 from slam.mapping.fusion import Merges
 from slam.mapping.same_plane import disjoint
@@ -134,7 +127,20 @@ class LoopCloser:
         A loop is none when half of the walls that were joined for it, or more, were found to be two after all, when the
         motion itself no longer fits, or when what is seen on the way on contradicts what was seen there before.
         """
-        self._open_again([known for known in self.closed if known.undone is None and self._is_refuted(known, scale)])
+        wrong = [known for known in self.closed if known.undone is None and self._is_refuted(known, scale)]
+        if not wrong:
+            return
+        indices = [known.factor_index for known in wrong if known.factor_index is not None]
+        self._backend.update([], gtsam.Values(), remove=indices, relinearize=True)
+        for known in wrong:
+            known.undone = len(self._keyframes) - 1
+        pairs = {pair for known in wrong for pair in known.pairs}
+        for merge in reversed(self._merges.history):
+            if merge.undone is None and merge.cause == "loop" and (merge.older, merge.younger) in pairs:
+                self._merges.undo(merge)
+        self._backend.settle(_ROUNDS)
+        self._landmarks.refresh(self._backend)
+        self._merges.redraw(min(known.loop.old_keyframe for known in wrong))
 
     def _try_again(self, around: Surroundings) -> None:
         """Hold the loops of late against what is seen on the way on."""
@@ -167,7 +173,8 @@ class LoopCloser:
         rules = self._config.loops
         closed_m = max((known.trial.since_m for known in self.closed if known.undone is None), default=-np.inf)
         counted = counted_once(group, rules.window_m, rules.every_m, closed_m)
-        numbers = [self._number_of(one.keyframe, one.old_keyframe) for one in counted]
+        ends = [(one.keyframe, one.old_keyframe) for one in self.decisions]
+        numbers = [ends.index((one.keyframe, one.old_keyframe)) for one in counted]
         for number, proposal in zip(numbers, counted, strict=True):
             self.decisions[number] = joined(self.decisions[number], proposal, around)
         return [self.decisions[number] for number in sorted(numbers) if self.decisions[number].verdict == "closed"]
@@ -186,29 +193,6 @@ class LoopCloser:
             return None
         self._merges.reconsider(pairs)  # the place is beyond doubt, which of its walls are one is not
         return Closure(closed)
-
-    def _number_of(self, keyframe: int, old_keyframe: int) -> int:
-        """Index of the decision about two keyframes."""
-        ends = keyframe, old_keyframe
-        return next(
-            i for i, decision in enumerate(self.decisions) if (decision.keyframe, decision.old_keyframe) == ends
-        )
-
-    def _open_again(self, wrong: Sequence[ClosedLoop]) -> None:
-        """Take closures out of the graph, and what was joined for them apart."""
-        if not wrong:
-            return
-        indices = [known.factor_index for known in wrong if known.factor_index is not None]
-        self._backend.update([], gtsam.Values(), remove=indices, relinearize=True)
-        for known in wrong:
-            known.undone = len(self._keyframes) - 1
-        pairs = {pair for known in wrong for pair in known.pairs}
-        for merge in reversed(self._merges.history):
-            if merge.undone is None and merge.cause == "loop" and (merge.older, merge.younger) in pairs:
-                self._merges.undo(merge)
-        self._backend.settle(_ROUNDS)
-        self._landmarks.refresh(self._backend)
-        self._merges.redraw(min(known.loop.old_keyframe for known in wrong))
 
     def _is_refuted(self, known: ClosedLoop, scale: float) -> bool:
         split = sum(younger in self._landmarks for _, younger in known.pairs)

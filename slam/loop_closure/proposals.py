@@ -10,17 +10,10 @@ import numpy as np
 from slam.backend.estimator import Backend, pose_symbol
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.loop_closure.candidates import old_keyframes
-from slam.loop_closure.pairwise_consistency import (
-    Proposal,
-    agree,
-    joint_log_odds,
-    loop_chi2,
-    maximal_cliques,
-)
+from slam.loop_closure.pairwise_consistency import Proposal, agree, joint_log_odds, loop_chi2, maximal_cliques
 from slam.loop_closure.verification import Surroundings
 from slam.registration.correlative_search import evidence_at
 from slam.registration.submaps import PlanarPose
-from spplanes._check import FloatArray
 
 #: Most proposals that wait: older ones are forgotten first.
 _MOST = 12
@@ -151,11 +144,6 @@ def evidence_of_map(around: Surroundings) -> float | None:
     if estimate.reach_m > 2.0 * rules.tied_m:
         return None
     reach = np.maximum(BOUND_SIGMAS * np.sqrt(np.diag(estimate.covariance)), least)
-    return float(evidence_at(here, there, _motions_about(estimate.delta, reach)).max())
-
-
-def _motions_about(delta: FloatArray, reach: FloatArray) -> FloatArray:
-    """A grid of motions (x, y, theta) about one, half sides `reach`, shape (M, 3)."""
     steps = np.linspace(-1.0, 1.0, _N_TRIED)
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.ascontiguousarray(delta + grid * reach)
+    return float(evidence_at(here, there, np.ascontiguousarray(estimate.delta + grid * reach)).max())

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
+from factors.association.estimate import KeyedCovariance
 from factors.association.observations import Observation
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
@@ -238,25 +239,20 @@ def information_gain(factors: Sequence[Any], pose_key: int, backend: Backend) ->
     """
     keys = sorted({key for factor in factors for key in list(factor.keys())} | {pose_key})
     joint, values = backend.joint_covariance(keys), backend.values_of(keys)
-    covariance = joint.of(keys)
-    rows, starts = [], dict(zip(keys, np.cumsum([0, *(_size(joint, key) for key in keys)]).tolist(), strict=False))
+    known = KeyedCovariance(keys, joint.of(keys), [len(joint.columns([key])) for key in keys])
+    rows, covariance = [], known.full
     for factor in factors:
         linear = factor.linearize(values)
         jacobian, _ = linear.jacobian()
-        columns = np.concatenate([starts[key] + np.arange(_size(joint, key)) for key in list(linear.keys())])
         wide = np.zeros((len(jacobian), len(covariance)))
-        wide[:, columns] = jacobian
+        wide[:, known.columns(list(linear.keys()))] = jacobian
         rows.append(wide[np.abs(jacobian).max(axis=1) > 0.0])
     if not rows:
         return 0.0
     stacked = np.vstack(rows)
-    own = starts[pose_key] + np.arange(6)
+    own = known.columns([pose_key])
     given_rest = np.asarray(np.linalg.inv(np.linalg.inv(covariance)[np.ix_(own, own)]), dtype=np.float64)
     return (_log_det(stacked, covariance) - _log_det(stacked[:, own], given_rest)) / (2.0 * len(stacked))
-
-
-def _size(joint: Any, key: int) -> int:
-    return len(joint.columns([key]))
 
 
 def _log_det(jacobian: FloatArray, covariance: FloatArray) -> float:
