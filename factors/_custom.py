@@ -99,10 +99,9 @@ class Recipe:
 
 @dataclass(frozen=True, eq=False)
 class VelocityRecipe:
-    """All that makes a factor of a velocity that is kept; see `factors.constant_velocity_factor`."""
+    """All that makes a factor of a velocity kept from pose a over b to c; see `factors.constant_velocity_factor`."""
 
     keys: tuple[int, int, int]
-    """Of the poses a, b, c."""
     kept: FloatArray
     """Shares of the motion from a to b that go on, GTSAM order, shape (6,)."""
     root_information: FloatArray

@@ -210,7 +210,6 @@ class Order:
     rig: Rig | None
     """With which sensors; None: the log's own, or a default."""
     config: SlamConfig
-    """Of mapping."""
     store: Path
     """Folder that keeps finished missions, the same on every worker."""
     keep_partial: bool = False
@@ -234,7 +233,6 @@ class Mapped:
     folder: str | None
     """The run's folder; None: the log could not be used."""
     reason: str = ""
-    """Why not, one sentence."""
     mission: Mission | None = None
     """The mission without its graph, by the name that it has in this fleet."""
 

@@ -59,7 +59,6 @@ class Candidate:
     """A landmark that an observation was compared with."""
 
     landmark: int
-    """Its id."""
     chi2: float
     """Squared Mahalanobis distance between measured and predicted plane, with state and measurement covariance."""
     dof: int

@@ -51,7 +51,6 @@ class JointCompatibility:
     honest: Callable[[], State] | None
     """The state that chi2 are reported of, where the other one knows a hint."""
     gates: AssociationGates
-    """The gates."""
 
     def best(self) -> JointHypothesis:
         """The most likely of a few joint hypotheses.

@@ -96,11 +96,9 @@ class _Weighed:
     """A joint hypothesis as updates of the state."""
 
     log_likelihood: float
-    """Of all observations."""
     matched: list[tuple[int, Hypothesis]]
     """Observations that are a landmark, and that one's hypothesis."""
     others: list[int]
-    """Observations that are none."""
     state: State
     """The state that knows all of them."""
 

@@ -44,7 +44,6 @@ class Alignment:
     chi2: float
     """Of all pairs at this motion, with what the planes of each map share."""
     n_dof: int
-    """Its degrees of freedom."""
     worst: int = -1
     """The pair that fits the others least."""
 

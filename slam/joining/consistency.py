@@ -16,10 +16,9 @@ from spplanes._check import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """An uncertain motion between two missions' frames."""
+    """An uncertain motion between two missions' frames, (4, 4)."""
 
     a_T_b: FloatArray
-    """Shape (4, 4)."""
     covariance: FloatArray
     """Of its tangent on the right, shape (6, 6)."""
 
@@ -49,7 +48,6 @@ class Component:
     common_T_mission: dict[str, FloatArray]
     """About where the frame of each is, (4, 4)."""
     overlaps: tuple[Comparison, ...]
-    """What joins them."""
 
 
 def consistent(comparisons: Sequence[Comparison], significance: float) -> list[Comparison]:

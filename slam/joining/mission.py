@@ -98,9 +98,7 @@ class FinishedMission:
     """A mission with its graph."""
 
     mission: Mission
-    """What travels."""
     graph: MissionGraph
-    """What stays."""
     config: SlamConfig
     """How it was made."""
     rig: Rig | None = None

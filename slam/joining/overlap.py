@@ -43,7 +43,6 @@ class Comparison:
     unobservable: as the constellations say; not seen: nothing in common; revoked: refused by what all missions say
     together."""
     reason: str
-    """One sentence."""
     alignment: Alignment | None = None
     """The motion a_T_b with the planes that are one."""
     evidence: float = float("nan")

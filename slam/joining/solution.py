@@ -114,7 +114,6 @@ class JointSolution:
     shared: Mapping[int, tuple[int, ...]]
     """Landmarks of each mission that stay in the joint graph, by id."""
     ties: tuple[Tie, ...]
-    """Landmarks that are one."""
     bases: dict[int, gtsam.Pose3] = field(default_factory=dict)
     """common_T_mission."""
     values: dict[int, gtsam.Values] = field(default_factory=dict)
@@ -242,9 +241,7 @@ class MissionPosterior:
     """One mission's variables with the covariance that all missions together give them."""
 
     mission: int
-    """Its number."""
     solution: JointSolution
-    """Where the estimates are."""
     graph: gtsam.GaussianFactorGraph
     """Its own factors, and what the others say of what it shares."""
 

@@ -42,7 +42,6 @@ class ClosedLoop:
     """A closed loop: the walls that were joined for it, and the motion that the returns tell between its two ends."""
 
     loop: LoopDecision
-    """The comparison that found it."""
     pairs: tuple[tuple[int, int], ...]
     """The landmarks (older, younger) that were joined with it."""
     factor_index: int | None
@@ -50,7 +49,6 @@ class ClosedLoop:
     factor: Any
     """That factor; None: its walls say all."""
     trial: Trial
-    """What has been seen for and against it since."""
     undone: int | None = None
     """The keyframe at which it was found wrong; None: it stands."""
 

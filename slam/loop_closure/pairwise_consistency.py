@@ -17,12 +17,10 @@ from spplanes._check import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A closure that one comparison of submaps proposes."""
+    """A closure that one comparison of submaps proposes, of a keyframe and an older one."""
 
     keyframe: int
-    """The newer keyframe."""
     old_keyframe: int
-    """The old one."""
     pose: PlanarPose
     """The newer one in the frame of the old one."""
     log_odds: float

@@ -38,7 +38,6 @@ class LoopDecision:
     """What became of the comparison of a keyframe's surroundings with those of an old one, and why."""
 
     keyframe: int
-    """The keyframe."""
     old_keyframe: int
     """The keyframe it was compared with."""
     verdict: LoopVerdict
@@ -55,7 +54,6 @@ class LoopDecision:
     chi2: float = float("nan")
     """Chi2 of the matched walls at the matched motion."""
     dof: int = 0
-    """Its degrees of freedom."""
     evidence: float = float("nan")
     """Log of how much better the walls, or all returns, agree than by chance."""
     motion: Motion | None = None
@@ -69,15 +67,10 @@ class Surroundings:
     """What loops are verified with."""
 
     path: DrivenPath
-    """The way so far."""
     keyframes: Sequence[Keyframe]
-    """What was measured."""
     landmarks: LandmarkMap
-    """The map."""
     backend: Backend
-    """The graph."""
     config: LoopConfig
-    """The settings."""
     min_keyframes: int
     """Keyframes that must have seen a landmark before it takes part."""
 

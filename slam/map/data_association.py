@@ -49,9 +49,7 @@ def associate(
 
 @dataclass(frozen=True, eq=False)
 class Hint:
-    """What else is known of a keyframe's pose while its observations are being told apart."""
+    """What else is known of a keyframe's pose while its observations are told apart: the motion from another pose."""
 
     key: int
-    """Key of another pose."""
     motion: Motion
-    """The motion from there."""

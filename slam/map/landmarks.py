@@ -24,7 +24,6 @@ class Landmark:
     id: int
     """Number in order of birth; never used twice."""
     key: int
-    """Its GTSAM key."""
     anchor_key: int
     """Key of the pose in whose frame it lives."""
     anchor_T_birth: FloatArray
@@ -94,16 +93,12 @@ def _is_any_between(ascending: list[int], first: int, last: int) -> bool:
 
 @dataclass(frozen=True)
 class Sighting:
-    """One observation of a landmark."""
+    """One observation of a landmark, by its index in its keyframe, and its factor in iSAM2."""
 
     keyframe: int
-    """Index of the keyframe."""
     observation: int
-    """Index of the observation in the keyframe."""
     factor_index: int
-    """Index of its factor in iSAM2."""
     kind: str
-    """Factor type."""
     robust: str | None = None
     """Robust kernel on it where it is matched: of a place that the planes had to find some of it is wrong."""
 

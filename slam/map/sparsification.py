@@ -84,16 +84,12 @@ class Link:
 
 
 class MeasuredStep(NamedTuple):
-    """A motion that wheels measured, and its factor."""
+    """A motion that wheels measured from a keyframe `before` to another one, and the index of its factor."""
 
     before: int
-    """The keyframe it starts at."""
     keyframe: int
-    """The one it leads to."""
     motion: Motion
-    """As measured."""
     factor_index: int
-    """Of its factor in the graph."""
 
 
 @dataclass(frozen=True, eq=False)

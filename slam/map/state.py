@@ -19,10 +19,6 @@ class EstimatorState:
     keyframes: Sequence[Keyframe]
     """What was measured, in order of time; it grows while the run lasts."""
     landmarks: LandmarkMap
-    """The map."""
     backend: Backend
-    """The graph."""
     sparsifier: Sparsifier
-    """Which keyframes stay in the graph."""
     config: SlamConfig
-    """The settings."""
