@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 
 from spplanes import Plane, ScanLine
+from tests.statistics import central_differences
 
 X, A, L = (gtsam.symbol(c, 0) for c in "xal")
 
@@ -83,37 +84,25 @@ def values_of(**named: object) -> gtsam.Values:
     return values
 
 
-def dimension(value: object) -> int:
-    return {"Pose3": 6, "Pose2": 3, "OrientedPlane3": 3}[type(value).__name__]
-
-
-def variable(values: gtsam.Values, key: int) -> gtsam.Pose3 | gtsam.Pose2 | gtsam.OrientedPlane3:
-    for read in (values.atPose3, values.atPose2, values.atOrientedPlane3):
-        try:
-            return read(key)
-        except (RuntimeError, ValueError, IndexError):
-            continue
-    raise KeyError(key)
-
-
-def whitened(factor: gtsam.NoiseModelFactor, values: gtsam.Values) -> np.ndarray:
-    return factor.whitenedError(values)
+def graph_of(*factors: gtsam.NonlinearFactor | gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.push_back(factor)
+    return graph
 
 
 def assert_jacobian(factor: gtsam.NoiseModelFactor, values: gtsam.Values, *, tolerance: float = 1e-6) -> None:
     """Whitened derivative against central differences through ``retract``, relative to its largest entry."""
-    analytic, b = factor.linearize(values).jacobian()
-    columns = []
-    for key in list(factor.keys()):
-        value = variable(values, key)
-        for i in range(dimension(value)):
-            step = np.zeros(dimension(value))
-            step[i] = 1e-5
-            ahead, behind = gtsam.Values(values), gtsam.Values(values)
-            ahead.update(key, value.retract(step))
-            behind.update(key, value.retract(-step))
-            columns.append((whitened(factor, ahead) - whitened(factor, behind)) / 2e-5)
-    numeric = np.column_stack(columns)
+    keys = list(factor.keys())
+    ends = np.cumsum([len(values.zeroVectors().at(key)) for key in keys])
+
+    def moved(step: np.ndarray) -> np.ndarray:
+        steps = gtsam.VectorValues()
+        for key, part in zip(keys, np.split(step, ends[:-1]), strict=True):
+            steps.insert(key, part)
+        return factor.whitenedError(values.retract(steps))
+
+    (analytic, b), numeric = factor.linearize(values).jacobian(), central_differences(moved, np.zeros(ends[-1]))
     scale = max(1.0, float(np.abs(numeric).max()))
     np.testing.assert_allclose(analytic / scale, numeric / scale, atol=tolerance)
-    np.testing.assert_allclose(-b, whitened(factor, values), atol=1e-9 * scale)
+    np.testing.assert_allclose(-b, factor.whitenedError(values), atol=1e-9 * scale)

@@ -11,7 +11,7 @@ import pytest
 import factors
 from factors._custom import describe
 from factors.archive import ArchiveError, dumps, loads, rekeyed
-from tests.factors.factor_scenes import random_line, random_plane, random_pose
+from tests.factors.factor_scenes import graph_of, random_line, random_plane, random_pose, values_of
 
 X0, X1, X2, P0 = (gtsam.symbol(c, i) for c, i in (("x", 0), ("x", 1), ("x", 2), ("p", 0)))
 L0, L1, L2 = (gtsam.symbol("l", i) for i in range(3))
@@ -20,7 +20,7 @@ L0, L1, L2 = (gtsam.symbol("l", i) for i in range(3))
 def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     rng = np.random.default_rng(0)
     plane, line, mount = random_plane(rng), random_line(rng), random_pose(rng).matrix()
-    graph = gtsam.NonlinearFactorGraph()
+    graph, near = gtsam.NonlinearFactorGraph(), factors.plane_landmark(plane)
     for robust in (None, "huber", "cauchy", ("geman-mcclure", 3.0), "dcs"):
         for factor in (
             factors.plane_factor(plane, X0, L0, robust=robust),
@@ -29,9 +29,7 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
             factors.plane_prior(plane, L1, robust=robust),
             factors.line_factor(line, mount, X0, L0, robust=robust),
             factors.line_factor(line, mount, X1, L0, anchor_key=X0, robust=robust),
-            factors.line_factor(
-                line, mount, X1, L0, anchor_key=X0, expected=factors.plane_landmark(plane), robust=robust
-            ),
+            factors.line_factor(line, mount, X1, L0, anchor_key=X0, expected=near, robust=robust),
             factors.line_factor_2d(line, mount, P0, L0, robust=robust),
             factors.odometry_factor(X0, X1, (1.0, 0.1, 0.2), np.diag([0.1, 0.2, 0.1]), robust=robust),
             factors.odometry_factor_2d(P0, P0 + 1, (1.0, 0.1, 0.2), np.diag([0.1, 0.2, 0.1]), robust=robust),
@@ -48,9 +46,7 @@ def everything() -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
             *(factors.map_prior([plane] * n, (L1, L0, L2)[:n], np.eye(3 * n), robust=robust) for n in (1, 2, 3)),
         ):
             graph.push_back(factor)
-    values = gtsam.Values()
-    for key in (X0, X1, X2):
-        values.insert(key, random_pose(rng))
+    values = values_of(**{f"x{i}": random_pose(rng) for i in range(3)})
     for i in range(2):
         values.insert(P0 + i, gtsam.Pose2(*rng.normal(size=3)))
     for key in (L0, L1, L2):
@@ -75,12 +71,10 @@ def test_every_factor_survives():
 
 
 def test_foreign_custom_factors_are_refused_by_name():
-    graph = gtsam.NonlinearFactorGraph()
     noise = gtsam.noiseModel.Unit.Create(1)
     foreign = gtsam.CustomFactor(noise, [X0], lambda factor, values, jacobians: np.zeros(1))
-    graph.push_back(foreign)
     with pytest.raises(ArchiveError, match=r"factor 0: expected .*, got a foreign CustomFactor"):
-        dumps(graph)
+        dumps(graph_of(foreign))
     with pytest.raises(TypeError, match="cannot pickle 'CustomFactor' object: factor 0: expected a factor that can be"):
         copy.deepcopy(foreign)
 
@@ -144,15 +138,11 @@ def test_a_landmark_with_a_new_home_is_the_same_plane_seen():
     """Seen from the pose it lived at, from another one, and as a line: its error is that of the plane at home."""
     rng = np.random.default_rng(1)
     plane, line = random_plane(rng), random_line(rng)
-    poses = {X0: random_pose(rng), X1: random_pose(rng)}
+    poses = {name: random_pose(rng) for name in ("x0", "x1", "x9")}
     home, anchor = gtsam.symbol("l", 9), gtsam.symbol("x", 9)
-    old, new = gtsam.Values(), gtsam.Values()
-    for key, pose in (*poses.items(), (anchor, random_pose(rng))):
-        old.insert(key, pose)
-        new.insert(key, pose)
     landmark = gtsam.OrientedPlane3(np.array([0.3, -0.5, 0.8, 1.5]))
-    old.insert(L0, landmark)
-    new.insert(home, landmark.transform(poses[X0].inverse()).transform(new.atPose3(anchor)))
+    there = landmark.transform(poses["x0"].inverse()).transform(poses["x9"])
+    old, new = values_of(**poses, l0=landmark), values_of(**poses, l9=there)
     for factor in (
         factors.plane_factor(plane, X0, L0, anchor_key=X0),
         factors.plane_factor(plane, X1, L0, anchor_key=X0),

@@ -40,6 +40,7 @@ from tests.factors.factor_scenes import (
     L,
     X,
     assert_jacobian,
+    graph_of,
     make_line,
     random_line,
     random_plane,
@@ -261,18 +262,16 @@ def test_planes_made_ready_together_give_the_factors_they_give_alone():
 
 def test_keys_without_a_marginal_are_named():
     """Once ``IndexError: map::at``."""
-    graph = gtsam.NonlinearFactorGraph()
-    values = values_of(x1=gtsam.Pose3(), x2=gtsam.Pose3(), l0=gtsam.OrientedPlane3())
-    graph.push_back(pose_prior(gtsam.symbol("x", 1), gtsam.Pose3(), np.eye(6)))
-    marginals = gtsam.Marginals(graph, values)
+    values, x1 = values_of(x1=gtsam.Pose3(), x2=gtsam.Pose3(), l0=gtsam.OrientedPlane3()), gtsam.symbol("x", 1)
+    marginals = gtsam.Marginals(graph_of(pose_prior(x1, gtsam.Pose3(), np.eye(6))), values)
     with pytest.raises(ValueError, match="keys: expected variables of the graph that the marginals are of, got l0"):
         world_plane(values, marginals, L)
     for ask in (world_plane, lambda *a, **k: seen_plane(*a, gtsam.symbol("x", 2), **k)):
         with pytest.raises(ValueError, match=r"keys: expected variables of the graph .*l0"):
-            ask(values, marginals, L, anchor_key=gtsam.symbol("x", 1))
+            ask(values, marginals, L, anchor_key=x1)
     with pytest.raises(ValueError, match="keys: expected variables of the graph that the marginals are of, got x2"):
-        joint_covariance(marginals, [gtsam.symbol("x", 1), gtsam.symbol("x", 2)])
-    np.testing.assert_allclose(joint_covariance(marginals, [gtsam.symbol("x", 1)]), np.eye(6))
+        joint_covariance(marginals, [x1, gtsam.symbol("x", 2)])
+    np.testing.assert_allclose(joint_covariance(marginals, [x1]), np.eye(6))
 
 
 def test_a_pose3_is_taken_wherever_a_matrix_is():

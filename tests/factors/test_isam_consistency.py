@@ -10,7 +10,7 @@ import pytest
 import factors
 from factors import isam2_parameters, isam_covariance, joint_covariance, plane_factor, plane_landmark, pose_prior
 from spplanes import Plane
-from tests.factors.factor_scenes import TIED_NORMALS, A, L, X, frame_of, perturbed
+from tests.factors.factor_scenes import TIED_NORMALS, A, L, X, frame_of, graph_of, perturbed, values_of
 from tests.spplanes.fitting.fit_scenes import error_of
 from tests.statistics import mean_nees_band
 
@@ -143,15 +143,11 @@ def test_robust_kernels_in_isam2(robust, form):
     shifted[1, 3] += 0.5
     pulls = []
     for kernel in (None, robust):
-        isam, graph, values = gtsam.ISAM2(gtsam.ISAM2Params()), gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for key in (x(0), x(1)):
-            graph.push_back(pose_prior(key, np.eye(4), 1e-8 * np.eye(6)))
-            values.insert(key, gtsam.Pose3())
-        for plane in [right] * 10 + [Plane(shifted, right.covariance)]:
-            other = x(1) if form == "anchored" else x(0)
-            graph.push_back(plane_factor(plane, other, plane_key(0), anchor_key=x(0), robust=kernel))
-        values.insert(plane_key(0), plane_landmark(right))
-        isam.update(graph, values)
+        isam, other = gtsam.ISAM2(gtsam.ISAM2Params()), x(1) if form == "anchored" else x(0)
+        priors = [pose_prior(key, np.eye(4), 1e-8 * np.eye(6)) for key in (x(0), x(1))]
+        planes = [right] * 10 + [Plane(shifted, right.covariance)]
+        seen = [plane_factor(plane, other, plane_key(0), anchor_key=x(0), robust=kernel) for plane in planes]
+        isam.update(graph_of(*priors, *seen), values_of(x0=gtsam.Pose3(), x1=gtsam.Pose3(), l0=plane_landmark(right)))
         for _ in range(20):
             isam.update()
         distance = isam.calculateBestEstimate().atOrientedPlane3(plane_key(0)).planeCoefficients()[3]
@@ -162,10 +158,8 @@ def test_robust_kernels_in_isam2(robust, form):
 
 def test_settling_stops_when_nothing_moves():
     isam = gtsam.ISAM2(isam2_parameters())
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.push_back(pose_prior(x(0), np.eye(4), np.eye(6)))
-    values.insert(x(0), gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.ones(3)))
-    isam.update(graph, values)
+    prior = pose_prior(x(0), np.eye(4), np.eye(6))
+    isam.update(graph_of(prior), values_of(x0=gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.ones(3))))
     assert 1 < factors.settle(isam) < 8
     assert factors.settle(isam) == 1
     assert isam.calculateEstimatePose3(x(0)).equals(gtsam.Pose3(), 1e-6)
@@ -174,15 +168,12 @@ def test_settling_stops_when_nothing_moves():
 def run(normal):
     """iSAM2, its graph and estimate: an anisotropic plane, linearised a little to the other side of the tie."""
     plane = Plane(frame_of(normal, 2.0 * normal, 0.3), np.diag([1e-6, 1e-7, 1e-4]))
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.push_back(pose_prior(A, np.eye(4), np.diag([1, 2, 3, 4, 5, 6]) * 1e-6))
-    graph.push_back(factors.relative_pose_factor(A, X, np.eye(4), np.diag([6, 5, 4, 3, 2, 1]) * 1e-6))
-    graph.push_back(plane_factor(plane, X, L, anchor_key=A))
-    values.insert(A, gtsam.Pose3())
-    values.insert(X, gtsam.Pose3())
+    prior = pose_prior(A, np.eye(4), np.diag([1, 2, 3, 4, 5, 6]) * 1e-6)
+    step = factors.relative_pose_factor(A, X, np.eye(4), np.diag([6, 5, 4, 3, 2, 1]) * 1e-6)
+    graph = graph_of(prior, step, plane_factor(plane, X, L, anchor_key=A))
     turned = plane.frame[:3, :3] @ gtsam.Rot3.RzRyRx(2e-3, -3e-3, 0.0).matrix()
-    values.insert(L, gtsam.OrientedPlane3(gtsam.Unit3(turned[:, 2]), -plane.d))
-    parameters = gtsam.ISAM2Params()
+    landmark = gtsam.OrientedPlane3(gtsam.Unit3(turned[:, 2]), -plane.d)
+    values, parameters = values_of(a0=gtsam.Pose3(), x0=gtsam.Pose3(), l0=landmark), gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(0.1)
     isam = gtsam.ISAM2(parameters)
     isam.update(graph, values)

@@ -14,6 +14,7 @@ from tests.factors.factor_scenes import (
     L,
     X,
     frame_of,
+    graph_of,
     make_line,
     perturbed,
     random_covariance,
@@ -144,13 +145,6 @@ def test_centre_is_dropped_onto_the_plane():
 
 PLANE = random_plane(np.random.default_rng(0))
 OTHER = gtsam.symbol("l", 12)
-
-
-def graph_of(*factors):
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors:
-        graph.push_back(factor)
-    return graph
 
 
 def test_anchors_of_a_graph():

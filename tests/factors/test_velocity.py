@@ -6,7 +6,7 @@ import pytest
 
 from factors import constant_velocity_factor, pose_prior, relative_pose_factor
 from factors._conventions import SP_TO_POSE3
-from tests.factors.factor_scenes import assert_jacobian, random_pose, values_of
+from tests.factors.factor_scenes import assert_jacobian, graph_of, random_pose, values_of
 from tests.statistics import mean_nees_band
 
 A, B, C = (gtsam.symbol("x", i) for i in range(3))
@@ -37,11 +37,8 @@ def drive(rng: np.random.Generator, kept: float) -> list[gtsam.Pose3]:
 
 
 def seen_at(poses: list[gtsam.Pose3], frames: range, rng: np.random.Generator) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph()
-    for k in frames:
-        noisy = poses[k] * exp(rng.standard_normal(6) * np.sqrt(SEEN))
-        graph.push_back(pose_prior(gtsam.symbol("x", k), noisy, np.diag(SEEN)))
-    return graph
+    noisy = ((k, poses[k] * exp(rng.standard_normal(6) * np.sqrt(SEEN))) for k in frames)
+    return graph_of(*(pose_prior(gtsam.symbol("x", k), pose, np.diag(SEEN)) for k, pose in noisy))
 
 
 def nees_of(graph: gtsam.NonlinearFactorGraph, poses: list[gtsam.Pose3], frame: int) -> tuple[float, float]:
@@ -75,13 +72,10 @@ def test_what_goes_on_is_the_motion_in_its_own_axes_and_in_time() -> None:
 
 def test_unseen_a_body_drifts_by_all_changes_of_its_motion() -> None:
     """Along its way by sigma sqrt(1 + 4 + ... + n^2), where its motion was known."""
-    n, graph = 12, gtsam.NonlinearFactorGraph()
-    poses = [gtsam.Pose3()] * (n + 2)
-    for key in (A, B):
-        graph.push_back(pose_prior(key, gtsam.Pose3(), 1e-12 * np.eye(6)))
-    for k in range(n):
-        graph.push_back(constant_velocity_factor([gtsam.symbol("x", k + i) for i in range(3)], np.diag(CHANGE)))
-    covariance = gtsam.Marginals(graph, along(*poses)).marginalCovariance(gtsam.symbol("x", n + 1))
+    n, keys = 12, [gtsam.symbol("x", k) for k in range(14)]
+    known = [pose_prior(key, gtsam.Pose3(), 1e-12 * np.eye(6)) for key in (A, B)]
+    graph = graph_of(*known, *(constant_velocity_factor(keys[k : k + 3], np.diag(CHANGE)) for k in range(n)))
+    covariance = gtsam.Marginals(graph, along(*[gtsam.Pose3()] * len(keys))).marginalCovariance(keys[-1])
     expected = np.sqrt(CHANGE[0] * np.sum(np.arange(1, n + 1) ** 2))
     assert np.sqrt(np.diag(covariance)[3:]) == pytest.approx(np.full(3, expected), rel=1e-4)
 

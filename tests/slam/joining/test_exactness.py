@@ -10,10 +10,10 @@ from factors import world_plane
 from slam.joining import FinishedMission, JoinedComponent
 from slam.joining.condensation import condense
 from slam.joining.join import classes_of, shared_by
-from slam.joining.solution import JointSolution, Place, Tie, TiedKeys, joint_key, tied_difference
+from slam.joining.solution import JointSolution, Place, Tie, TiedKeys, joint_key, tie_factor, tied_difference
 from slam.output.joined_folder import flat_graph
+from tests.factors.factor_scenes import assert_jacobian
 from tests.slam.joining.missions import first, room_T_second, second
-from tests.statistics import assert_jacobian
 
 
 def without_floor(one: FinishedMission) -> FinishedMission:
@@ -133,14 +133,4 @@ def test_the_distance_is_that_of_the_planes(seed: int):
 @pytest.mark.parametrize("seed", range(5))
 def test_derivatives_of_a_tie(seed: int):
     """By central differences, where the planes are one: there the basis that the tilt is told in does not matter."""
-    start = values_of(seed, np.zeros(3))
-    _, blocks = tied_difference(start, FIRST, SECOND)
-    keys = [key for side in (FIRST, SECOND) for key in (side.base, side.anchor, side.plane)]
-    for key, block in zip(keys, blocks, strict=True):
-
-        def moved(step: np.ndarray, key: int = key) -> np.ndarray:
-            steps, values = gtsam.VectorValues(), gtsam.Values(start)
-            steps.insert(key, step)
-            return tied_difference(values.retract(steps), FIRST, SECOND)[0]
-
-        assert_jacobian(moved, np.zeros(block.shape[1]), block, atol=1e-6)
+    assert_jacobian(tie_factor(FIRST, SECOND), values_of(seed, np.zeros(3)))
