@@ -9,7 +9,7 @@ from shapely import box
 
 from factors import Association, AssociationGates, LandmarkExtents, LineObservation, Prediction, associate
 from spplanes import Plane, ScanLine
-from tests.factors.factor_scenes import perturbed
+from tests.factors.factor_scenes import perturbed, values_of
 
 X = gtsam.symbol("x", 0)
 
@@ -103,10 +103,8 @@ def scene(pose_covariance: np.ndarray, rng: np.random.Generator, mapped: tuple[i
     """A robot at about the middle of the room whose map knows some of its surfaces; all errors drawn."""
     truth = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([0.2, -0.4, 0.0]))
     predicted = truth.retract(rng.multivariate_normal(np.zeros(6), pose_covariance))
-    values, landmarks, blocks = gtsam.Values(), LandmarkExtents(), [pose_covariance]
-    values.insert(X, predicted)
-    origin = gtsam.Values()
-    origin.insert(X, gtsam.Pose3())
+    values, landmarks, blocks = values_of(x0=predicted), LandmarkExtents(), [pose_covariance]
+    origin = values_of(x0=gtsam.Pose3())
     for number in mapped:
         plane = drawn(plane_of(number), MAPPED, rng)
         values.insert(key(number), landmarks.start(key(number), plane, X, origin))

@@ -17,7 +17,7 @@ from factors import AssociationGates, LandmarkExtents, LineObservation, PlaneObs
 from factors.association.landmark_extents import place_all
 from spplanes import Plane, fit_plane
 from tests.factors.association_scenes import MAPPED, X, asked, drawn, frame_of, key, plane_of, scene, tangent_covariance
-from tests.factors.factor_scenes import random_line
+from tests.factors.factor_scenes import graph_of, random_line, values_of
 
 #: A level robot whose position is known to 20 cm and whose heading to half a degree; rotation first.
 LOOSE = np.diag([1e-3, 1e-3, 9e-3, 0.2, 0.2, 1e-3]) ** 2
@@ -25,6 +25,7 @@ LOOSE = np.diag([1e-3, 1e-3, 9e-3, 0.2, 0.2, 1e-3]) ** 2
 FIRM = np.diag([1e-3, 1e-3, 3e-3, 0.01, 0.01, 1e-3]) ** 2
 #: All surfaces of the room.
 WHOLE = tuple(range(7))
+SECOND = gtsam.symbol("x", 1)
 
 
 def looks(runs: int, seed: int, covariance: np.ndarray, mapped: tuple[int, ...] = WHOLE, **how: float):
@@ -111,8 +112,7 @@ def test_two_walls_nearer_than_the_pose_is_known_are_told_apart_by_all_that_is_s
 
 def test_of_two_faces_that_fit_it_is_the_one_that_was_seen_there():
     """Two doors of one front, 4 mm out of line and 3 m apart: only their extents tell which is seen."""
-    values, landmarks, frame = gtsam.Values(), LandmarkExtents(), plane_of(0).frame
-    values.insert(X, gtsam.Pose3())
+    values, landmarks, frame = values_of(x0=gtsam.Pose3()), LandmarkExtents(), plane_of(0).frame
     doors = []
     for number, (shift, low) in enumerate(((0.0, -2.0), (0.004, 1.0))):
         moved = frame.copy()
@@ -131,17 +131,13 @@ def test_of_two_faces_that_fit_it_is_the_one_that_was_seen_there():
 def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, list[Plane | LineObservation]]:
     """Two poses by a relative prior; the first has mapped the room in its own frame, the second is about to look."""
     rng = np.random.default_rng(6)
-    graph, values, landmarks = gtsam.NonlinearFactorGraph(), gtsam.Values(), LandmarkExtents()
-    second = gtsam.symbol("x", 1)
     moved = gtsam.Pose3(gtsam.Rot3.Yaw(0.2), np.array([0.4, 0.1, 0.0]))
-    values.insert(X, gtsam.Pose3())
-    values.insert(second, moved)
-    graph.push_back(factors.pose_prior(X, gtsam.Pose3(), np.diag([1e-3] * 6) ** 2))
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-3, 1e-3, 0.01, 0.1, 0.1, 1e-3]))
-    graph.push_back(gtsam.BetweenFactorPose3(X, second, moved, noise))
+    step = gtsam.BetweenFactorPose3(X, SECOND, moved, noise)
+    graph = graph_of(factors.pose_prior(X, gtsam.Pose3(), np.diag([1e-3] * 6) ** 2), step)
     isam = gtsam.ISAM2(factors.isam2_parameters())
-    isam.update(graph, values)
-    prediction = Prediction.of_isam(isam, X)
+    isam.update(graph, values_of(x0=gtsam.Pose3(), x1=moved))
+    prediction, landmarks = Prediction.of_isam(isam, X), LandmarkExtents()
     new_graph, new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for number in WHOLE:
         plane = drawn(plane_of(number), MAPPED, rng)
@@ -151,7 +147,7 @@ def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, 
         start.insert(key(number), initial)
         factor = factors.observation_factor(plane, X, landmarks[key(number)], replace(prediction, values=start))
         new_graph.push_back(factor)
-        graph.push_back(factor)
+    graph.push_back(new_graph)
     isam.update(new_graph, new_values)
     factors.settle(isam)
     there = gtsam.Pose3(gtsam.Rot3.Yaw(0.21), np.array([0.5, 0.0, 0.0]))
@@ -161,13 +157,9 @@ def solved() -> tuple[gtsam.ISAM2, gtsam.NonlinearFactorGraph, LandmarkExtents, 
 
 def drifted(sigma_m: float, there: gtsam.Pose3, landmarks: LandmarkExtents) -> Prediction:
     """A pose that is known to 1 cm from the anchor of the cabinet's front, both to `sigma_m` in the world."""
-    anchor, values, origin = gtsam.symbol("a", 0), gtsam.Values(), gtsam.Values()
-    world_T_anchor = gtsam.Pose3(gtsam.Rot3.Yaw(0.8), np.array([1.0, -2.0, 0.3]))
-    origin.insert(anchor, world_T_anchor)
-    values.insert(anchor, world_T_anchor)
-    values.insert(X, there)
-    front = plane_of(5).transform(world_T_anchor.inverse().matrix())
-    values.insert(key(5), landmarks.start(key(5), front, anchor, origin, anchor_key=anchor))
+    anchor, world_T_anchor = gtsam.symbol("a", 0), gtsam.Pose3(gtsam.Rot3.Yaw(0.8), np.array([1.0, -2.0, 0.3]))
+    values, front = values_of(a0=world_T_anchor, x0=there), plane_of(5).transform(world_T_anchor.inverse().matrix())
+    values.insert(key(5), landmarks.start(key(5), front, anchor, values, anchor_key=anchor))
     landmarks[key(5)].pose_keys.add(-1)
     together = np.vstack([pose.inverse().AdjointMap() for pose in (world_T_anchor, there)])
     shared = together @ np.diag([1e-3, 1e-3, 1e-2, sigma_m, sigma_m, sigma_m]) ** 2 @ together.T
@@ -190,15 +182,12 @@ def test_a_wall_goes_on_as_far_as_is_known_of_the_pose_from_it_not_of_both_in_th
 
 def test_isam_marginals_and_a_matrix_give_the_same_answer():
     isam, graph, landmarks, seen = solved()
-    second, values = gtsam.symbol("x", 1), isam.calculateEstimate()
-    marginals = gtsam.Marginals(graph, values)
-    keys = [X, second, *(landmark.key for landmark in landmarks)]
-    joint = marginals.jointMarginalCovariance(keys)
-    matrix = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    values = isam.calculateEstimate()
+    marginals, keys = gtsam.Marginals(graph, values), [X, SECOND, *(landmark.key for landmark in landmarks)]
     sources = [
-        Prediction.of_isam(isam, second),
-        Prediction.of_marginals(marginals, values, second),
-        Prediction.of_matrix(matrix, keys, values, second),
+        Prediction.of_isam(isam, SECOND),
+        Prediction.of_marginals(marginals, values, SECOND),
+        Prediction.of_matrix(factors.joint_covariance(marginals, keys), keys, values, SECOND),
     ]
     first, *others = [associate(seen, source, landmarks) for source in sources]
     assert [one.plane_key for one in first.identities] == [key(number) for number in WHOLE]
@@ -215,7 +204,7 @@ def test_what_the_docs_show_runs():
     isam, _, landmarks, seen = solved()
     names = {name: getattr(factors, name) for name in factors.__all__}
     names |= {"isam": isam, "landmarks": landmarks, "seen": seen, "graph": gtsam.NonlinearFactorGraph()}
-    names |= {"values": gtsam.Values(), "plane_key": key(9), "i": 0, "pose_key": gtsam.symbol("x", 1), "anchor_key": X}
+    names |= {"values": gtsam.Values(), "plane_key": key(9), "i": 0, "pose_key": SECOND, "anchor_key": X}
     exec(textwrap.dedent(snippet), names)  # noqa: S102 - our own page
     assert names["graph"].size() == len(seen) + 1 and len(landmarks) == len(seen) + 1
 
@@ -223,14 +212,11 @@ def test_what_the_docs_show_runs():
 def test_a_prediction_from_before_an_update_is_refused():
     """Its estimates stay as they were, and covariances are those of now: all that is seen would be new."""
     isam, _, landmarks, seen = solved()
-    second = gtsam.symbol("x", 1)
-    prediction = Prediction.of_isam(isam, second)
-    graph, moved = gtsam.NonlinearFactorGraph(), gtsam.Pose3.Expmap([0, 0, 0, 0.1, 0, 0]).matrix()
-    graph.push_back(factors.pose_prior(second, prediction.pose(second) @ moved, FIRM))
-    isam.update(graph, gtsam.Values())
+    prediction, moved = Prediction.of_isam(isam, SECOND), gtsam.Pose3.Expmap([0, 0, 0, 0.1, 0, 0]).matrix()
+    isam.update(graph_of(factors.pose_prior(SECOND, prediction.pose(SECOND) @ moved, FIRM)), gtsam.Values())
     with pytest.raises(ValueError, match="prediction: expected that of isam as it is, got one from before its last up"):
         associate(seen, prediction, landmarks)
-    associate(seen, Prediction.of_isam(isam, second), landmarks)
+    associate(seen, Prediction.of_isam(isam, SECOND), landmarks)
 
 
 def test_a_prediction_keeps_the_values_that_it_was_given():
@@ -260,8 +246,7 @@ def test_a_plane_without_an_outline_is_as_large_as_its_points_scatter(shift: tup
 
 @pytest.mark.parametrize("on_m", [2.0, 3.0])
 def test_a_wall_without_an_outline_goes_on(on_m: float):
-    rng, values, landmarks = np.random.default_rng(2), gtsam.Values(), LandmarkExtents()
-    values.insert(X, gtsam.Pose3())
+    rng, values, landmarks = np.random.default_rng(2), values_of(x0=gtsam.Pose3()), LandmarkExtents()
     known = fitted((0.0, 0.0), rng)
     values.insert(key(0), landmarks.start(key(0), known, X, values))
     covariance = block_diag(FIRM, tangent_covariance(known))
@@ -307,10 +292,9 @@ def test_pieces_of_a_wall_that_nobody_knew_are_one_new_plane():
 
 PLACE = scene(FIRM, np.random.default_rng(10), (0, 1))
 VALUES, MATRIX, SEEN = PLACE.values, PLACE.covariance, PLACE.seen(0, np.random.default_rng(0))
-POSE_ALONE = gtsam.Values()
-POSE_ALONE.insert(X, gtsam.Pose3())
 of_matrix = Prediction.of_matrix
-of_none, of_one = of_matrix(np.eye(6), [X], POSE_ALONE, X), of_matrix(MATRIX[:9, :9], PLACE.keys[:2], VALUES, X)
+of_none = of_matrix(np.eye(6), [X], values_of(x0=gtsam.Pose3()), X)
+of_one = of_matrix(MATRIX[:9, :9], PLACE.keys[:2], VALUES, X)
 of_all, BOTH = PLACE.prediction, [SEEN, PLACE.seen(1, np.random.default_rng(0))]
 POSITIVE, PROBABILITY = "expected a positive finite number, got", "expected a number from 0 to 1"
 
