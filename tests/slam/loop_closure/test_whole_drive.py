@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from slam.config import SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import Motion, difference, planar_delta
-from slam.geometry.frames import inverse, planar_transform
+from slam.geometry.frames import inverse, planar_transform, way_to
 from slam.io.default_rigs import default_rig_for
 from slam.loop_closure import whole_drive
 from slam.loop_closure.pairwise_consistency import Proposal
@@ -83,6 +84,13 @@ def circles(seed: int, false: int) -> tuple[FloatArray, list[Motion], list[Propo
     return true, steps, found
 
 
+def inferred_of(true: FloatArray, steps: list[Motion], found: list[Proposal]) -> tuple[FloatArray, tuple[Any, ...]]:
+    """Poses of the solution, and what keyframes' relative poses are inferred from."""
+    graph, values = whole_drive._solved(steps, found, true)
+    places = np.array([planar_transform(*whole_drive._delta(values.atPose2(k))) for k in range(len(true))])
+    return places, (graph, values, places, way_to(true), RULES)
+
+
 @pytest.mark.parametrize("false", [0, 2])
 def test_what_is_inferred_is_as_sure_as_it_says_and_false_findings_are_told(false):
     """Of a robust kernel covariances are a little wide; with 15 drives of some ten independent places the mean chi2 of
@@ -90,12 +98,10 @@ def test_what_is_inferred_is_as_sure_as_it_says_and_false_findings_are_told(fals
     means = []
     for seed in range(15):
         true, steps, found = circles(seed, false)
-        way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2, 3], axis=0), axis=1))))
-        graph, values = whole_drive._solved(steps, found, true)
-        places = np.array([planar_transform(*whole_drive._delta(values.atPose2(k))) for k in range(len(true))])
+        places, given = inferred_of(true, steps, found)
         misfit = np.array([one.pose.misfit(one.delta_by(places)) for one in found])
         assert np.flatnonzero(misfit > 16.3).tolist() == list(range(2, 2 + 3 * false, 3))
-        means.append(chi2_of(list(whole_drive._inferred(graph, values, places, way, RULES)), true).mean() / 3.0)
+        means.append(chi2_of(list(whole_drive._inferred(*given)), true).mean() / 3.0)
     assert 0.5 < np.mean(means) < 1.0
 
 
@@ -103,9 +109,7 @@ def test_of_a_drive_that_falls_apart_nothing_is_inferred():
     """Two steps in a row of which next to nothing is known: GTSAM finds the keyframe between them indeterminate."""
     true, steps, found = circles(0, 0)
     loose = [replace(step, covariance=1e14 * STEP) if number in (40, 41) else step for number, step in enumerate(steps)]
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2, 3], axis=0), axis=1))))
-    graph, values = whole_drive._solved(loose, found, true)
-    places = np.array([planar_transform(*whole_drive._delta(values.atPose2(k))) for k in range(len(true))])
+    _, (graph, values, *rest) = inferred_of(true, loose, found)
     with pytest.raises(RuntimeError, match="Indeterminate"):
-        list(whole_drive._from_earlier(gtsam.Marginals(graph, values), values, places, way, RULES))
-    assert whole_drive._inferred(graph, values, places, way, RULES) == ()
+        list(whole_drive._from_earlier(gtsam.Marginals(graph, values), values, *rest))
+    assert whole_drive._inferred(graph, values, *rest) == ()
