@@ -77,9 +77,8 @@ def plane_factors(
     robust: Robust = None,
 ) -> gtsam.NonlinearFactorGraph:
     """Graph of the factors of many planes, each as `plane_factor` makes it, in order; sequences of equal length."""
-    for name, given in (("planes", planes), ("pose_keys", pose_keys), ("plane_keys", plane_keys)):
-        if not hasattr(given, "__len__"):
-            raise ValueError(f"{name}: expected a sequence, got {type(given).__name__}")
+    given = {"planes": planes, "pose_keys": pose_keys, "plane_keys": plane_keys}
+    planes, pose_keys, plane_keys = (as_list(name, value) for name, value in given.items())
     anchors: Sequence[int | None] = [None] * len(planes) if anchor_keys is None else anchor_keys
     if not len(planes) == len(pose_keys) == len(plane_keys) == len(anchors):
         raise ValueError(
@@ -90,10 +89,9 @@ def plane_factors(
     if not len(planes):
         return graph
     known: dict[int, int | None] = {}
-    for key, anchor in zip(plane_keys, anchors, strict=True):
+    for one, pose, key, anchor in zip(_measured(planes), pose_keys, plane_keys, anchors, strict=True):
         anchor_key = None if anchor is None else as_key("anchor_keys", anchor)
         check_anchor("anchor_keys", known, as_key("plane_keys", key), anchor_key)
-    for one, pose, key, anchor in zip(_measured(planes), pose_keys, plane_keys, anchors, strict=True):
         graph.push_back(one.factor(pose, key, anchor, robust))
     return graph
 

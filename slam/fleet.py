@@ -175,11 +175,7 @@ def _on(
 
 
 def _gathered(client: Client, futures: Sequence[Any], what: str, progress: Progress | None) -> list[Any]:
-    """Results in the order of the futures.
-
-    Raises:
-        FleetError: the cluster is gone.
-    """
+    """Results in the order of the futures; FleetError: the cluster is gone."""
     _, distributed = _dask()
     try:
         for done, _ in enumerate(distributed.as_completed(futures, loop=client.loop)):
@@ -216,11 +212,7 @@ class Order:
     """Use what precedes a cut in the log."""
 
     def key(self) -> str:
-        """Content address: by log, rig, configuration and version.
-
-        Raises:
-            OSError: the log cannot be read.
-        """
+        """Content address: by log, rig, configuration and version; OSError: the log cannot be read."""
         rig = None if self.rig is None else json.dumps(self.rig.to_plain())
         what = [fingerprint(self.log), rig, self.config.model_dump(mode="json"), self.keep_partial, __version__]
         return blake2b(json.dumps(what, sort_keys=True).encode(), digest_size=12).hexdigest()

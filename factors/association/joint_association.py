@@ -23,8 +23,8 @@ _TRIED = 4
 class JointHypothesis:
     """What all observations from a pose are, taken together."""
 
-    decisions: dict[int, Decision]
-    """By index of the observation."""
+    decisions: list[Decision]
+    """Of every observation."""
     log_likelihood: float
     """Of all of them: of a match that of its innovation, of everything else that of another plane there."""
 
@@ -85,7 +85,7 @@ class JointCompatibility:
                     continue
                 decision, likelihood = self._take_in(decision, found, state, honest)
                 decisions[index], total = decision, total + likelihood
-        return JointHypothesis(decisions, total)
+        return JointHypothesis([decisions[index] for index in sorted(decisions)], total)
 
     def _take_in(
         self, decision: Decision, found: Sequence[Innovation], state: State, honest: State | None

@@ -86,7 +86,7 @@ def _distinct(joint: Sequence[JointHypothesis]) -> list[JointHypothesis]:
     """Joint hypotheses without those that say what one before them says."""
     known: dict[tuple[int | None, ...], JointHypothesis] = {}
     for one in joint:
-        matches = (one.decisions[index].match for index in sorted(one.decisions))
+        matches = (decision.match for decision in one.decisions)
         known.setdefault(tuple(None if match is None else match.landmark for match in matches), one)
     return list(known.values())
 

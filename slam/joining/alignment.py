@@ -147,10 +147,8 @@ def whitened_differences(
 def _level_information(a_T_b: FloatArray) -> FloatArray:
     """Of the motion's tangent, with z, roll and pitch of b in a held and nothing else, shape (6, 6)."""
     turn = a_T_b[:3, :3]
-    information = np.zeros((6, 6))
-    information[:3, :3] = turn.T @ np.diag([LEVEL_SIGMA_RAD**-2, LEVEL_SIGMA_RAD**-2, 0.0]) @ turn
-    information[3:, 3:] = turn.T @ np.diag([0.0, 0.0, LEVEL_SIGMA_M**-2]) @ turn
-    return information
+    of_turn, of_shift = np.diag([LEVEL_SIGMA_RAD**-2, LEVEL_SIGMA_RAD**-2, 0.0]), np.diag([0.0, 0.0, LEVEL_SIGMA_M**-2])
+    return np.asarray(block_diag(turn.T @ of_turn @ turn, turn.T @ of_shift @ turn))
 
 
 def _difference(first: MapPlane, second: MapPlane, a_T_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -43,8 +43,7 @@ def associate(
     problem = joint_compatibility(
         observations, pose_key, landmarks, backend, gates, known, among=among, trusted=trusted
     )
-    decisions = problem.best().decisions
-    return [decisions[index] for index in range(len(observations))]
+    return problem.best().decisions
 
 
 @dataclass(frozen=True, eq=False)
