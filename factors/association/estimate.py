@@ -122,13 +122,10 @@ class PlacedLandmarks(Generic[AnyLandmark]):
     def near(
         self, normal: FloatArray, middle: FloatArray, reach: float, max_angle: float, /
     ) -> list[tuple[AnyLandmark, PlacedPlane]]:
-        """Landmarks of about a direction that come within `reach` of a place, in their order.
+        """Landmarks about a place, in their order.
 
-        Args:
-            normal: unit normal in the world, shape (3,).
-            middle: the place in the world, shape (3,).
-            reach: distance from there to the sphere around what was seen of the landmark, m.
-            max_angle: largest angle between the normals, rad.
+        Their normals are within `max_angle` (rad) of one in the world (3,), and the spheres around what was seen of
+        them come within `reach` (m) of a point in the world (3,).
         """
         close = np.flatnonzero(np.linalg.norm(self._middles - middle, axis=1) <= self._radii + reach)
         facing = close[self._world_T_plane[close, :3, 2] @ normal >= np.cos(min(max_angle, np.pi))]

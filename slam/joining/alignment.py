@@ -103,7 +103,7 @@ def align(a: Mission, b: Mission, pairs: Sequence[tuple[int, int]], a_T_b: Float
 
     Args:
         a, b: the maps.
-        pairs: which of their planes are one.
+        pairs: which of their planes are one; at least one.
         a_T_b: about the motion, shape (4, 4).
     """
     start, level = a_T_b, _level_information(a_T_b)

@@ -77,14 +77,7 @@ def joined_by(
     config: SlamConfig,
     left_out: Mapping[str, str],
 ) -> JoinedMap:
-    """What `join` does once all pairs of missions are compared.
-
-    Args:
-        missions: by name, in their order.
-        comparisons: of all pairs of them.
-        config: as for `join`.
-        left_out: missions that could not be used, and why.
-    """
+    """What `join` does once all pairs of missions are compared, but for those `left_out`, by name with the reason."""
     comparisons = consistent(comparisons, config.association.new_significance)
     while True:
         solved = [_solved(component, missions, config) for component in components_of(list(missions), comparisons)]
@@ -99,8 +92,7 @@ def joined_by(
 def names_of(runs: Sequence[Path | str]) -> list[str]:
     """A name for every run, or log: its folder's or file's, with as much of the path as tells it from the others.
 
-    Raises:
-        ValueError: one run is given twice.
+    ValueError: one run is given twice.
     """
     paths = [Path(run).resolve() for run in runs]
     twice = [path for path in paths if paths.count(path) > 1]

@@ -83,11 +83,7 @@ class JoinedComponent:
         }
 
     def pose_covariance(self, mission: int, keyframe: int) -> FloatArray:
-        """Covariance (6, 6) of the tangent of common_T_body, GTSAM order, of a keyframe that is in the graph.
-
-        Raises:
-            ValueError: it has left its mission's graph.
-        """
+        """Covariance (6, 6) of the tangent of common_T_body, GTSAM order, of a keyframe; ValueError: it has left."""
         graph = self.missions[mission].graph
         if not np.array_equal(graph.carrier_T_body[keyframe], np.eye(4)):
             raise ValueError(f"keyframe: expected one that is in the graph, got {keyframe}, which has left it")

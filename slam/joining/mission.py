@@ -148,11 +148,7 @@ class FinishedMission:
             return cls.of(name or path.name, slam, rig)
 
     def to_bytes(self) -> bytes:
-        """A record of numbers, text and outlines alone, so that nothing in it is ever run.
-
-        Raises:
-            ArchiveError: a factor that is not ours.
-        """
+        """A record of numbers, text and outlines alone, so that nothing in it is ever run; errors of `dumps`."""
         mission, graph = self.mission, self.graph
         trajectory, looks = vars(mission.trajectory), [vars(look) for look in mission.looks]
         landmarks = [(one, *keys) for one, keys in graph.planes.items()]

@@ -128,13 +128,9 @@ class JointSolution:
             self.values.setdefault(number, gtsam.Values(graph.values))
 
     def solve(self, settled: float = SETTLED) -> None:
-        """Gauss and Newton over all missions, each eliminated by itself.
+        """Gauss and Newton over all missions, each eliminated by itself; JoinError: it does not come to an end.
 
-        Args:
-            settled: no variable moves by more than this share of its standard deviation in the last step.
-
-        Raises:
-            JoinError: it does not come to an end.
+        In the last step no variable moves by more than the share `settled` of its standard deviation.
         """
         for _ in range(_ROUNDS):
             self._condense()

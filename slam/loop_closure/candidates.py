@@ -72,12 +72,9 @@ def radius_of(pose_key: int, backend: Backend) -> float:
 
 
 def nearest_of_each(near: np.ndarray, away: FloatArray, stretch: np.ndarray) -> np.ndarray:
-    """Of candidates near a place the nearest of each stretch of the way, ascending by stretch, shape (M,).
+    """Of candidates (N,) near a place the nearest of each stretch of the way, ascending by stretch, shape (M,).
 
-    Args:
-        near: the candidates, shape (N,).
-        away: how far they are from the place, m, shape (N,).
-        stretch: number of the stretch that each is of, shape (N,).
+    They are `away` from the place, m, shape (N,), each on the stretch of a number, shape (N,).
     """
     order = np.lexsort((near, away, stretch))
     _, first = np.unique(stretch[order], return_index=True)

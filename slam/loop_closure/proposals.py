@@ -110,12 +110,9 @@ class Trial:
         return way_m - self.since_m <= _WINDOWS * config.window_m
 
     def update(self, evidence: float, way_m: float, config: LoopConfig) -> None:
-        """Count what was seen, by the share of it that is new.
+        """Count what was seen so much way later, by the share of it that is new.
 
-        Args:
-            evidence: log of how much better the returns fit the map as it is than what has nothing to do with it.
-            way_m: length of the way, m.
-            config: the rules.
+        `evidence`: log of how much better the returns fit the map as it is than what has nothing to do with it.
         """
         most = -2.0 * float(np.log(config.significance))  # what one closure must bring; no witness is surer than that
         before, since = (most, self.since_m) if np.isnan(self.log_odds) else (self.log_odds, self.heard_m)
