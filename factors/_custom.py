@@ -22,9 +22,6 @@ _Kernel = Callable[..., tuple[FloatArray, FloatArray]]
 #: Of the frame of the world, as the kernels take it.
 IDENTITY = np.asfortranarray(np.eye(4))
 
-_Frame = Callable[[gtsam.Values], FloatArray]
-_Layout = tuple[_Frame, _Frame, list[Any]]
-
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
@@ -65,15 +62,6 @@ class Recipe:
         noise = gaussian(self.root_information, self.robust, self.dof)
         keys = [key for key in poses if key is not None]
         return gtsam.CustomFactor(noise, [*keys, *self.landmark_keys], _callback(self))
-
-    def layout(self, planar: bool) -> _Layout:
-        """Readers of world_T_anchor and world_T_body out of the values, and each key's columns of the derivative."""
-        landmarks = [slice(12 + 3 * i, 15 + 3 * i) for i in range(len(self.landmark_keys))]
-        if self.pose_key == self.anchor_key:
-            return _identity, _identity, landmarks
-        roles = zip((self.pose_key, self.anchor_key), _planar_columns if planar else _pose_columns, strict=True)
-        columns = [columns for key, columns in roles if key is not None]
-        return _reader(self.anchor_key, planar), _reader(self.pose_key, planar), [*columns, *landmarks]
 
     def rekeyed(self, names: Mapping[int, int], homes: Mapping[int, tuple[int, int]]) -> Recipe:
         """The same over other variables; see `factors.archive.rekeyed`. ValueError: it relates one with a new home."""
@@ -172,29 +160,36 @@ def describe(factor: gtsam.NonlinearFactor) -> Recipe | VelocityRecipe | None:
 
 def _callback(recipe: Recipe) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]:
     kernel, data, landmark_keys = _kernel(recipe.kernel), recipe.data, recipe.landmark_keys
-    first, second = recipe.layout(recipe.planar), recipe.layout(True)
+    at_home = recipe.pose_key == recipe.anchor_key
+    pose_key, anchor_key = (None, None) if at_home else (recipe.pose_key, recipe.anchor_key)
+    of_landmarks = [slice(12 + 3 * i, 15 + 3 * i) for i in range(len(landmark_keys))]
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         try:
             landmarks = [values.atOrientedPlane3(key).planeCoefficients() for key in landmark_keys]
         except RuntimeError as complaint:
             raise _NoValue(complaint, recipe) from complaint
-        (world_T_anchor, world_T_body), columns = _read(first, second, values)
+        world_T_body, of_body = _read(values, pose_key, 0, recipe.planar)
+        world_T_anchor, of_anchor = _read(values, anchor_key, 6, recipe.planar)
         residual, derivative = kernel(world_T_anchor, world_T_body, *landmarks, *data)
         if jacobians is not None:
-            for i, block in enumerate(columns):
+            for i, block in enumerate([*of_body, *of_anchor, *of_landmarks]):
                 jacobians[i] = derivative[:, block]
         return residual
 
     return error
 
 
-def _read(first: _Layout, second: _Layout, values: gtsam.Values) -> tuple[tuple[FloatArray, FloatArray], list[Any]]:
-    """world_T_anchor, world_T_body, and columns: by the first layout, or the second where the poses are of its type."""
-    try:
-        return (first[0](values), first[1](values)), first[2]
-    except RuntimeError:
-        return (second[0](values), second[1](values)), second[2]
+def _read(values: gtsam.Values, key: int | None, column: int, planar: bool) -> tuple[FloatArray, list[Any]]:
+    """A pose, (4, 4), and its columns in the derivative of a kernel, the first of six given; the world has none."""
+    if key is None:
+        return IDENTITY, []
+    if not planar:
+        try:
+            return values.atPose3(key).matrix(), [slice(column, column + 6)]
+        except RuntimeError:
+            pass
+    return _planar_matrix(values.atPose2(key)), [column + _PLANAR]
 
 
 @cache
@@ -205,21 +200,8 @@ def _kernel(name: str) -> _Kernel:
     return getattr(_kernels, f"{name}_error")
 
 
-_pose_columns = slice(0, 6), slice(6, 12)
 #: (x, y, yaw) of a Pose2 within the (rx, ry, rz, x, y, z) of a Pose3: the same right-hand tangent, to first order.
-_planar_columns = np.array([3, 4, 2]), np.array([9, 10, 8])
-
-
-def _identity(_: gtsam.Values) -> FloatArray:
-    return IDENTITY
-
-
-def _reader(key: int | None, planar: bool) -> _Frame:
-    if key is None:
-        return _identity
-    if planar:
-        return lambda values: _planar_matrix(values.atPose2(key))
-    return lambda values: values.atPose3(key).matrix()
+_PLANAR = np.array([3, 4, 2])
 
 
 def _planar_matrix(pose: gtsam.Pose2) -> FloatArray:
