@@ -25,7 +25,8 @@ class Proposals:
     def __init__(self, config: LoopConfig) -> None:
         self._config = config
         self._waiting: list[Proposal] = []
-        self._known: dict[tuple[int, int, int, int], bool] = {}
+        #: Whether the loops over two closures and the ways between them close.
+        self._known: dict[tuple[Proposal, Proposal], bool] = {}
 
     def agreed(self, new: Proposal, held: Sequence[int], backend: Backend) -> list[Proposal]:
         """The proposals, the new one among them, that may be closed together; none: they wait.
@@ -50,24 +51,15 @@ class Proposals:
     def _agreeing(self, backend: Backend) -> np.ndarray:
         """Which of those that wait agree two by two, shape (N, N)."""
         pairs = [(self._waiting[j], self._waiting[i]) for i in range(len(self._waiting)) for j in range(i)]
-        self._look_up([pair for pair in pairs if _ends(*pair) not in self._known], backend)
+        new = [pair for pair in pairs if pair not in self._known]
+        ways = _between([way for pair in new for way in _ways(*pair)], backend)
+        for pair in new:
+            newer, older = (ways[way] for way in _ways(*pair))
+            self._known[pair] = agree(loop_chi2(*pair, newer, older), self._config.significance)
         agreeing = np.eye(len(self._waiting), dtype=bool)
         rows, columns = np.tril_indices(len(self._waiting), -1)
-        agreeing[rows, columns] = agreeing[columns, rows] = [self._known[_ends(*pair)] for pair in pairs]
+        agreeing[rows, columns] = agreeing[columns, rows] = [self._known[pair] for pair in pairs]
         return agreeing
-
-    def _look_up(self, pairs: Sequence[tuple[Proposal, Proposal]], backend: Backend) -> None:
-        """Whether the loops over two closures each and the way between them close."""
-        ways = _between([way for pair in pairs for way in _ways(*pair)], backend)
-        for first, second in pairs:
-            newer, older = (ways[way] for way in _ways(first, second))
-            closes = agree(loop_chi2(first, second, newer, older), self._config.significance)
-            self._known[_ends(first, second)] = closes
-
-
-def _ends(first: Proposal, second: Proposal) -> tuple[int, int, int, int]:
-    """The keyframes at the ends of two proposals."""
-    return first.keyframe, first.old_keyframe, second.keyframe, second.old_keyframe
 
 
 def _ways(first: Proposal, second: Proposal) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -1,6 +1,5 @@
 """The arithmetic by which observations are told apart, and landmarks near a place, against numpy and scipy."""
 
-from collections.abc import Sequence
 from itertools import islice
 
 import numpy as np
@@ -10,6 +9,7 @@ from shapely import box
 
 from benchmarks.growth import mission
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
+from factors.association.estimate import KeyedCovariance
 from factors.association.gating import Hypothesis, State, chi2_and_log_det
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import PlaneObservation
@@ -104,15 +104,6 @@ def test_between_the_gates_and_where_another_plane_is_as_likely_neither_is_said(
     assert decision.verdict == verdict and decision.match is (candidate if verdict == "match" else None)
 
 
-class Known:
-    """A joint covariance of one variable of one dimension."""
-
-    full = np.eye(1)
-
-    def columns(self, keys: Sequence[int], /) -> np.ndarray:
-        return np.zeros(len(keys), dtype=int)
-
-
 @pytest.mark.parametrize(("target", "verdict"), [(3.0, "match"), (6.0, "unsure")])
 def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: str):
     """The hint says that the pose is where the landmark fits; without it the landmark is 2.1 or 4.2 sigma off."""
@@ -121,12 +112,14 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
         candidate, column = Candidate(0, 0.0, 1, 0.0, True), np.zeros(1, dtype=int)
         return Hypothesis(candidate, column, np.eye(1) / sigma, np.array([target]) / sigma)
 
+    joint = KeyedCovariance([0], np.eye(1), [1])
+
     def hinted() -> State:
-        state = State(Known())
+        state = State(joint)
         state.condition(state.innovation(hypothesis(1e-3)))
         return state
 
-    sought, without_hint, rules = [[hypothesis(1.0)]], lambda: State(Known()), AssociationGates()
+    sought, without_hint, rules = [[hypothesis(1.0)]], lambda: State(joint), AssociationGates()
     problem = JointCompatibility(
         sought, [-9.0], [-9.0], lambda *_: 0.0, lambda *_: True, [1], hinted, without_hint, rules
     )
