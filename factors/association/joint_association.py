@@ -46,9 +46,9 @@ class JointCompatibility:
     """
     n_points: Sequence[int]
     """Of every observation: the more the firmer."""
-    state: Callable[[], State]
-    """The state before the observations, anew."""
-    honest: Callable[[], State] | None
+    state: State
+    """The state before the observations."""
+    honest: State | None
     """The state that chi2 are reported of, where the other one knows a hint."""
     gates: AssociationGates
 
@@ -66,7 +66,7 @@ class JointCompatibility:
 
     def decide_all(self, start: tuple[int, int] | None = None) -> JointHypothesis:
         """Decide everything; `start` is an observation and the landmark that it is taken for before all others."""
-        state, honest = self.state(), None if self.honest is None else self.honest()
+        state, honest = self.state.copy(), None if self.honest is None else self.honest.copy()
         decisions: dict[int, Decision] = {}
         total = 0.0
         for stage in ("start", "clear", "open"):
@@ -107,13 +107,12 @@ class JointCompatibility:
 
     def _shut_out(self, found: JointHypothesis) -> list[tuple[int, int]]:
         """Observations without a landmark that would have had one on their own, with it; each landmark once."""
-        state = self.state()
         tried: dict[int, int] = {}
         for index in self._firmest_first():
             if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
-            candidates = [innovation.candidate for innovation in innovations_of(self.hypotheses[index], state)]
-            match = self._decide(index, candidates, state).match
+            candidates = [innovation.candidate for innovation in innovations_of(self.hypotheses[index], self.state)]
+            match = self._decide(index, candidates, self.state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
@@ -166,10 +165,9 @@ def joint_compatibility(
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
     gaps = Gaps(observations, landmarks, pose_key, estimate, joint, gates)
-    informed = partial(_informed, joint, hint, values)
-    honest, change = None, None
+    informed, honest, change = _informed(joint, hint, values), None, None
     if hint is not None:
-        honest, change = partial(State, joint), informed().mean_of(joint.columns([pose_key]))
+        honest, change = State(joint), informed.mean_of(joint.columns([pose_key]))
     there, pairs = elsewhere(values, pose_key, change), zip(observations, shortlists, strict=True)
     hypotheses = [hypotheses_of(one, found, pose_key, joint, there, estimate, change) for one, found in pairs]
     n_points = [observation.n_points for observation in observations]

@@ -49,13 +49,13 @@ def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Poste
 
 def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
     """How much less likely each landmark is for where an observation lies than the nearest that passes, in nats."""
-    state, gaps = problem.state(), []
+    gaps = []
     for index, hypotheses in enumerate(problem.hypotheses):
         landmarks = [hypothesis.candidate.landmark for hypothesis in hypotheses]
         away = {landmark: problem.away(index, landmark) for landmark in landmarks}
         passing = [
             away[innovation.candidate.landmark]
-            for innovation in innovations_of(hypotheses, state)
+            for innovation in innovations_of(hypotheses, problem.state)
             if innovation.candidate.p_value >= problem.gates.significance
         ]
         least = min(passing, default=0.0)
@@ -67,11 +67,11 @@ def _rivals(
     problem: JointCompatibility, best: JointHypothesis, gaps: Sequence[dict[int, float]]
 ) -> list[tuple[int, int]]:
     """Observations and other landmarks that they could be before anything is decided, the likeliest first."""
-    state, rivals = problem.state(), []
+    rivals = []
     for index, hypotheses in enumerate(problem.hypotheses):
         match, chance = best.decisions[index].match, problem.chances[index]
         taken = None if match is None else match.landmark
-        candidates = (innovation.candidate for innovation in innovations_of(hypotheses, state))
+        candidates = (innovation.candidate for innovation in innovations_of(hypotheses, problem.state))
         passing = [
             (one.log_likelihood - gaps[index][one.landmark], one.landmark)
             for one in candidates
@@ -104,7 +104,7 @@ class _Weighed:
 
 
 def _weigh(problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[dict[int, float]]) -> _Weighed:
-    state, matched, total = problem.state(), [], 0.0
+    state, matched, total = problem.state.copy(), [], 0.0
     for index, hypotheses in enumerate(problem.hypotheses):
         match = joint.decisions[index].match
         taken = None if match is None else match.landmark
@@ -123,7 +123,7 @@ def _conditionals(
     problem: JointCompatibility, known: _Weighed, gaps: Sequence[dict[int, float]]
 ) -> Iterator[tuple[int, Posterior]]:
     """Of every observation, its posterior given what the others are."""
-    for index, state in _each_left_out(problem.state(), known.matched):
+    for index, state in _each_left_out(problem.state, known.matched):
         yield index, _conditional(problem, index, state, gaps[index])
     for index in known.others:
         yield index, _conditional(problem, index, known.state, gaps[index])

@@ -114,12 +114,9 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
 
     joint = KeyedCovariance([0], np.eye(1), [1])
 
-    def hinted() -> State:
-        state = State(joint)
-        state.condition(state.innovation(hypothesis(1e-3)))
-        return state
-
-    sought, without_hint, rules = [[hypothesis(1.0)]], lambda: State(joint), AssociationGates()
+    hinted, without_hint = State(joint), State(joint)
+    hinted.condition(hinted.innovation(hypothesis(1e-3)))
+    sought, rules = [[hypothesis(1.0)]], AssociationGates()
     problem = JointCompatibility(
         sought, [-9.0], [-9.0], lambda *_: 0.0, lambda *_: True, [1], hinted, without_hint, rules
     )
