@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from slam.frontend.odometry import spatial_covariance
 from slam.geometry.frames import inverse, lift
 from slam.joining.alignment import LEVEL_SIGMA_M, LEVEL_SIGMA_RAD, Alignment, align, common_planes, facing_pairs
 from slam.joining.mission import Look, Mission
-from slam.registration.place_recognition import MAX_LEAN, ConstellationMatch, Wall, match_constellations
+from slam.registration.place_recognition import MAX_LEAN, Wall, match_constellations
 from spplanes._check import FloatArray, as_transform
 
 Verdict = Literal["joined", "refused", "ambiguous", "unobservable", "not seen", "revoked"]
@@ -131,7 +132,9 @@ def _proposed(
     if match is None:
         return Comparison(a.name, b.name, "not seen", "nothing in common was found")
     if match.verdict != "closure":
-        return Comparison(a.name, b.name, match.verdict, _why_not(match), evidence=match.evidence)
+        but = "and about as well elsewhere" if match.verdict == "ambiguous" else "but leave a direction open"
+        reason = f"{len(match.pairs)} walls agree, {but}"
+        return Comparison(a.name, b.name, match.verdict, reason, evidence=match.evidence)
     level = LEVEL_SIGMA_M, LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD
     covariance = spatial_covariance(match.covariance, match.b_T_a, level)[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
     return match.b_T_a, covariance, match.evidence
@@ -221,12 +224,11 @@ def _heights(a: Mission, b: Mission, hypothesis: FloatArray, config: SlamConfig)
     """Heights of b over a to try: none, and those that lay a level plane of b on one of a."""
     flat = [[plane for plane in m.planes if abs(plane.plane.normal[2]) > 1.0 - MAX_LEAN] for m in (a, b)]
     heights = [0.0]
-    for mine in flat[0]:
-        for other in flat[1]:
-            if mine.plane.normal[2] * other.plane.normal[2] > 0.0:
-                over = float(mine.plane.centre[2] - other.plane.centre[2])
-                if all(abs(over - known) > config.loops.tied_m for known in heights):
-                    heights.append(over)
+    for mine, other in product(*flat):
+        over = float(mine.plane.centre[2] - other.plane.centre[2])
+        is_new = all(abs(over - known) > config.loops.tied_m for known in heights)
+        if is_new and mine.plane.normal[2] * other.plane.normal[2] > 0.0:
+            heights.append(over)
     return heights
 
 
@@ -238,9 +240,3 @@ def _apart(a: Mission, b: Mission, found: Alignment, config: SlamConfig) -> tupl
         for i, j, apart in facing_pairs(a, b, found.a_T_b, config.association)
         if i not in of_a and j not in of_b and apart < config.loops.tied_m
     )
-
-
-def _why_not(match: ConstellationMatch) -> str:
-    if match.verdict == "ambiguous":
-        return f"{len(match.pairs)} walls agree, and about as well elsewhere"
-    return f"{len(match.pairs)} walls agree, but leave a direction open"
