@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Callable
 from typing import Any
 
 import gtsam
@@ -46,24 +47,30 @@ def told_key(key: int) -> str:
     return str(gtsam.DefaultKeyFormatter(key))
 
 
+def held(read: Callable[[int], Any], key: int) -> Any:
+    """What one of GTSAM's readers (``values.atPose3``, say) has of a key; None: nothing of that type."""
+    try:
+        return read(key)
+    except (IndexError, RuntimeError):
+        return None
+
+
 def pose_in(name: str, values: gtsam.Values, key: int) -> gtsam.Pose3:
     """A pose of values, a Pose2 as the Pose3 that it is; ValueError: there is none of that key."""
     check_instance("values", values, gtsam.Values)
     for read in (values.atPose3, values.atPose2):
-        try:
-            return gtsam.Pose3(read(as_key(name, key)))
-        except RuntimeError:
-            continue
+        if (pose := held(read, as_key(name, key))) is not None:
+            return gtsam.Pose3(pose)
     raise ValueError(f"{name}: expected the key of a Pose3 or Pose2 in values, got {told_key(key)}")
 
 
 def plane_in(name: str, values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
     """A plane landmark of values; ValueError: there is none of that key."""
     check_instance("values", values, gtsam.Values)
-    try:
-        return values.atOrientedPlane3(as_key(name, key))
-    except RuntimeError as error:
-        raise ValueError(f"{name}: expected the key of an OrientedPlane3 in values, got {told_key(key)}") from error
+    plane = held(values.atOrientedPlane3, as_key(name, key))
+    if plane is None:
+        raise ValueError(f"{name}: expected the key of an OrientedPlane3 in values, got {told_key(key)}")
+    return plane
 
 
 def check_distinct(**keys: int | None) -> None:

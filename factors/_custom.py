@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import gtsam
 import numpy as np
 
+from factors._check import held
 from factors.robust import Robust, gaussian
 from spplanes._check import FloatArray
 
@@ -184,11 +185,9 @@ def _read(values: gtsam.Values, key: int | None, column: int, planar: bool) -> t
     """A pose, (4, 4), and its columns in the derivative of a kernel, the first of six given; the world has none."""
     if key is None:
         return IDENTITY, []
-    if not planar:
-        try:
-            return values.atPose3(key).matrix(), [slice(column, column + 6)]
-        except RuntimeError:
-            pass
+    pose = None if planar else held(values.atPose3, key)
+    if pose is not None:
+        return pose.matrix(), [slice(column, column + 6)]
     return _planar_matrix(values.atPose2(key)), [column + _PLANAR]
 
 

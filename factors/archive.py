@@ -21,7 +21,7 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
-from factors._check import told_key
+from factors._check import held, told_key
 from factors._custom import Recipe, VelocityRecipe, describe
 from factors.robust import resolve_robust
 from spplanes._check import check_instance
@@ -190,11 +190,10 @@ def _from_alone(text: str) -> Any:
 def _values(values: gtsam.Values) -> dict[str, Any]:
     rest, planes = gtsam.Values(values), {}
     for key in values.keys():  # noqa: SIM118 - not a mapping
-        try:
-            planes[key] = values.atOrientedPlane3(key).planeCoefficients().tolist()
-        except RuntimeError:
-            continue
-        rest.erase(key)
+        plane = held(values.atOrientedPlane3, key)
+        if plane is not None:
+            planes[key] = plane.planeCoefficients().tolist()
+            rest.erase(key)
     try:
         return {"planes": planes, "others": rest.serialize()}
     except RuntimeError as error:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from factors._check import as_keys, told_key
+from factors._check import as_keys, held, told_key
 from spplanes._check import FloatArray, as_count, as_positive, check_instance
 
 #: Step beyond which a variable is relinearised, rad or m. A tilt e of a plane d away neglects d e^2 / 2 of its
@@ -67,9 +67,8 @@ def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]
     turn, end = np.eye(len(full)), 0
     for key in names:
         first, end = end, end + len(joint.at(key, key))
-        try:
-            there, here = linearised.atOrientedPlane3(key), values.atOrientedPlane3(key)
-        except RuntimeError:  # no plane
+        there, here = (held(some.atOrientedPlane3, key) for some in (linearised, values))
+        if there is None or here is None:  # no plane
             continue
         turn[first : first + 2, first : first + 2] = here.normal().basis().T @ there.normal().basis()
     return turn @ full @ turn.T

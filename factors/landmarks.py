@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.affinity import scale
 
-from factors._check import as_keys, plane_in, pose_in, told_key
+from factors._check import as_keys, held, plane_in, pose_in, told_key
 from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
 from factors._custom import IDENTITY, Recipe, describe
 from factors._kernels import plane_seen_from
@@ -204,7 +204,7 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
             return np.asarray(marginals.marginalCovariance(names[0]))
         joint = marginals.jointMarginalCovariance(names)
     except (IndexError, RuntimeError) as error:  # map::at
-        missing = [told_key(key) for key in names if not _has_marginal(marginals, key)]
+        missing = [told_key(key) for key in names if held(marginals.marginalCovariance, key) is None]
         if not missing:
             raise
         told = ", ".join(missing)
@@ -214,27 +214,11 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
 
 def _joint(values: gtsam.Values, marginals: gtsam.Marginals, pose_keys: list[int], plane_key: int) -> FloatArray:
     """Joint covariance of poses and a plane; a Pose2 has no error out of its plane, 6 numbers as any."""
-    known = [_OF_POSE2 if _is_planar(values, key) else range(6) for key in pose_keys]
+    known = [range(6) if held(values.atPose2, key) is None else _OF_POSE2 for key in pose_keys]
     rows = [6 * i + row for i, own in enumerate([*known, range(3)]) for row in own]
     full = np.zeros((6 * len(pose_keys) + 3,) * 2)
     full[np.ix_(rows, rows)] = joint_covariance(marginals, [*pose_keys, plane_key])
     return full
-
-
-def _is_planar(values: gtsam.Values, key: int) -> bool:
-    try:
-        values.atPose2(key)
-    except RuntimeError:
-        return False
-    return True
-
-
-def _has_marginal(marginals: gtsam.Marginals, key: int) -> bool:
-    try:
-        marginals.marginalCovariance(key)
-    except (IndexError, RuntimeError):
-        return False
-    return True
 
 
 def _with_joint(

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key, as_keys, told_key
+from factors._check import as_key, as_keys, held, told_key
 from factors.association.estimate import KeyedCovariance
 from factors.isam import isam_covariance
 from factors.landmarks import joint_covariance
@@ -124,11 +124,8 @@ class Prediction:
 def _size_of(name: str, values: gtsam.Values, key: int) -> int:
     """Numbers in the tangent of a pose or a plane."""
     for read, size in ((values.atPose3, _POSE), (values.atOrientedPlane3, _PLANE)):
-        try:
-            read(key)
-        except RuntimeError:
-            continue
-        return size
+        if held(read, key) is not None:
+            return size
     raise ValueError(f"{name}: expected the key of a Pose3 or an OrientedPlane3 in values, got {told_key(key)}")
 
 
