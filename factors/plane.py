@@ -61,10 +61,7 @@ def get_ready(planes: Sequence[Plane]) -> None:
 
     A plane is compared with many landmarks before it is in the graph once. ValueError: a singular covariance.
     """
-    planes = as_list("planes", planes)
-    for plane in planes:
-        check_instance("plane", plane, Plane)
-    if new := [plane for plane in planes if plane not in _ready]:
+    if new := [plane for plane in _as_planes(planes) if plane not in _ready]:
         _ready.update(zip(new, _measured(new), strict=True))
 
 
@@ -77,8 +74,8 @@ def plane_factors(
     robust: Robust = None,
 ) -> gtsam.NonlinearFactorGraph:
     """Graph of the factors of many planes, each as `plane_factor` makes it, in order; sequences of equal length."""
-    given = {"planes": planes, "pose_keys": pose_keys, "plane_keys": plane_keys}
-    planes, pose_keys, plane_keys = (as_list(name, value) for name, value in given.items())
+    planes = _as_planes(planes)
+    pose_keys, plane_keys = as_list("pose_keys", pose_keys), as_list("plane_keys", plane_keys)
     anchors: Sequence[int | None] = [None] * len(planes) if anchor_keys is None else anchor_keys
     if not len(planes) == len(pose_keys) == len(plane_keys) == len(anchors):
         raise ValueError(
@@ -138,14 +135,19 @@ def plane_prior(plane: Plane, plane_key: int, *, robust: Robust = None) -> gtsam
 
     Custom, not native: no factor of the wheel acts on an ``OrientedPlane3`` alone but for its direction.
     """
-    frames, covariances = _stacked([plane])
+    frames, covariances = _stacked(_as_planes([plane]))
     root = centre_root_informations(covariances)[0]
     return Recipe("plane", (frames[0],), root, 3, as_key("plane_key", plane_key), robust=robust).factor()
 
 
-def _stacked(planes: Sequence[Plane]) -> tuple[FloatArray, FloatArray]:
+def _as_planes(value: Sequence[Plane]) -> list[Plane]:
+    planes = as_list("planes", value)
     for plane in planes:
         check_instance("plane", plane, Plane)
+    return planes
+
+
+def _stacked(planes: Sequence[Plane]) -> tuple[FloatArray, FloatArray]:
     covariances = np.stack([plane.covariance for plane in planes])
     check_definite("plane.covariance", covariances)
     return np.stack([plane.frame for plane in planes]), covariances
@@ -178,11 +180,9 @@ def map_prior(
 
     ValueError: no planes, keys given twice, another shape, a singular covariance.
     """
-    planes, keys = as_list("planes", planes), as_list("plane_keys", plane_keys)
+    planes, keys = _as_planes(planes), as_list("plane_keys", plane_keys)
     if not keys or len(keys) != len(planes):
         raise ValueError(f"planes: expected as many as plane_keys, and at least one, got {len(planes)} and {len(keys)}")
-    for plane in planes:
-        check_instance("plane", plane, Plane)
     keys = as_keys("plane_keys", keys)
     full = as_covariance("covariance", covariance, 3 * len(keys))
     try:

@@ -10,7 +10,6 @@ from shapely.geometry.base import BaseGeometry
 
 from factors.association.decisions import AssociationGates
 from factors.association.observations import Observation
-from spplanes import Plane
 from spplanes.outlines.extents import grow
 from spplanes.spmodel import inverse_transform
 
@@ -36,37 +35,26 @@ def group_planes(
     order = sorted(range(len(observations)), key=lambda index: (-_patch_size(observations[index]), index))
     groups: list[list[int]] = []
     outlines: list[BaseGeometry] = []
+
+    def patch(index: int, on: int) -> BaseGeometry:
+        """What was seen of an observation, in (x, y) of the plane of another."""
+        return observations[index].patch_in(inverse_transform(planes[on].frame))
+
     for index in order:
-        home = _home(index, groups, planes, outlines, observations, limit, gates.gap_m)
+        apart = sorted((planes[group[0]].mahalanobis(planes[index]), number) for number, group in enumerate(groups))
+        homes = (
+            number
+            for chi2, number in apart
+            if chi2 <= limit and outlines[number].distance(patch(index, groups[number][0])) <= gates.gap_m
+        )
+        home = next(homes, None)
         if home is not None:
-            frame = planes[groups[home][0]].frame
-            outlines[home] = grow(outlines[home], observations[index].patch_in(inverse_transform(frame)))
+            outlines[home] = grow(outlines[home], patch(index, groups[home][0]))
             groups[home].append(index)
         elif may_start[index]:
             groups.append([index])
-            outlines.append(observations[index].patch_in(inverse_transform(planes[index].frame)))
+            outlines.append(patch(index, index))
     return groups
-
-
-def _home(
-    index: int,
-    groups: Sequence[Sequence[int]],
-    planes: Sequence[Plane],
-    outlines: Sequence[BaseGeometry],
-    observations: Sequence[Observation],
-    limit: float,
-    gap_m: float,
-) -> int | None:
-    """The group whose plane is nearest in chi2, if it is near enough in chi2 and in place."""
-    best: tuple[float, int] | None = None
-    for number, group in enumerate(groups):
-        first = planes[group[0]]
-        distance = first.mahalanobis(planes[index])
-        if distance > limit or (best is not None and distance >= best[0]):
-            continue
-        if outlines[number].distance(observations[index].patch_in(inverse_transform(first.frame))) <= gap_m:
-            best = (distance, number)
-    return None if best is None else best[1]
 
 
 def _patch_size(observation: Observation) -> float:

@@ -121,13 +121,8 @@ class LandmarkMap(PlacedLandmarks[Landmark]):
 
     def birth(self, observation: Observation, anchor_key: int, frame: FloatArray, plane_T_body: FloatArray) -> Landmark:
         """Make the landmark of an observation; `frame` is its plane frame in the anchor pose's frame."""
-        landmark = Landmark(
-            id=self._next_id,
-            key=gtsam.symbol("p", self._next_id),
-            anchor_key=anchor_key,
-            anchor_T_birth=frame,
-            first_outline=observation.patch_in(plane_T_body),
-        )
+        number, patch = self._next_id, observation.patch_in(plane_T_body)
+        landmark = Landmark(number, gtsam.symbol("p", number), anchor_key, frame, patch)
         self._next_id += 1
         self._landmarks[landmark.id] = landmark
         return landmark
