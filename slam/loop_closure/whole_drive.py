@@ -115,8 +115,6 @@ def _pairs(
         is_due = not nodes or way[frame] - way[nodes[-1]] >= 0.5 * config.window_m
         if is_due and keyframe.returns is not None and len(keyframe.returns):
             nodes.append(frame)
-    if not nodes:
-        return []
     places, lengths, pairs = poses[nodes, :2, 3], way[nodes], []
     tree = KDTree(places)
     for row, new in enumerate(nodes):
@@ -140,7 +138,10 @@ def _solved(
     for one in found:
         ends = one.old_keyframe, one.keyframe
         graph.push_back(odometry_factor_2d(*ends, one.pose.delta, one.pose.covariance, robust=_KERNEL))
-    return graph, min((_minimum(graph, _poses2(poses)) for poses in starts), key=graph.error)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(_STEPS)
+    found_from = [gtsam.LevenbergMarquardtOptimizer(graph, _poses2(one), parameters).optimize() for one in starts]
+    return graph, min(found_from, key=graph.error)
 
 
 def _poses2(poses: FloatArray) -> gtsam.Values:
@@ -181,12 +182,6 @@ def _from_earlier(
         jacobian = turn @ np.hstack((by_old, by_new))
         joint = marginals.jointMarginalCovariance([nearest, new]).fullMatrix()
         yield Proposal(new, nearest, PlanarPose(_delta(there), jacobian @ joint @ jacobian.T), np.inf, length)
-
-
-def _minimum(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(_STEPS)
-    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
 
 
 def _delta(pose: gtsam.Pose2) -> FloatArray:
