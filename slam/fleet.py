@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import blake2b
 from importlib.util import find_spec
 from itertools import combinations
@@ -155,20 +156,16 @@ def _on(
     client: Client, orders: Sequence[Order], significance: float, strict: bool, progress: Progress | None
 ) -> JoinedMap:
     config, pairs = orders[0].config, list(combinations(range(len(orders)), 2))
-    mapped = [client.submit(map_log, one, pure=True, retries=RETRIES) for one in orders]
-    compared = [
-        client.submit(
-            compare_mapped, mapped[a], mapped[b], config, significance / len(pairs), pure=True, retries=RETRIES
-        )
-        for a, b in pairs
-    ]
-    names, results = [order.name for order in orders], _gathered(client, mapped, "missions", progress)
-    left_out = {name: result.reason for name, result in zip(names, results, strict=True) if result.folder is None}
+    submit = partial(client.submit, pure=True, retries=RETRIES)
+    mapped = [submit(map_log, one) for one in orders]
+    compared = [submit(compare_mapped, mapped[a], mapped[b], config, significance / len(pairs)) for a, b in pairs]
+    done = dict(zip((one.name for one in orders), _gathered(client, mapped, "missions", progress), strict=True))
+    left_out = {name: one.reason for name, one in done.items() if one.folder is None}
     if left_out and (strict or len(left_out) == len(orders)):
         name, reason = next(iter(left_out.items()))
         raise ValueError(f"logs: expected ones that can be mapped, got {len(left_out)} that cannot ({name}: {reason})")
     comparisons = [one for one in _gathered(client, compared, "pairs", progress) if one is not None]
-    folders = {name: result.folder for name, result in zip(names, results, strict=True) if result.folder is not None}
+    folders = {name: one.folder for name, one in done.items() if one.folder is not None}
     missions = {name: open_mapped(folder, name) for name, folder in folders.items()}
     joined = joined_by(missions, comparisons, config, left_out)
     return replace(joined, folders=folders)
