@@ -175,23 +175,10 @@ GRAZING = 0.02
 def line_error(world_T_anchor, world_T_body, coefficients, body_T_sensor, points):
     """Distances in the scan plane from two measured points (2, 2) to where a landmark cuts it; derivative (2, 15).
 
-    With (n, d) the landmark in the sensor frame and m = (n_x, n_y), it cuts the scan plane in m.q = d; the distance of
-    a point q to that line is (d - m.q) / |m|.
+    With (n, d) the landmark in the sensor frame, which is its error there as of a plane, and m = (n_x, n_y), it cuts
+    the scan plane in m.q = d; the distance of a point q to that line is (d - m.q) / |m|.
     """
-    seen, jacobian = plane_seen_from(world_T_anchor, world_T_body, coefficients)
-    in_sensor = np.empty(3)
-    derivative_in_sensor = np.empty((3, 15))
-    for i in range(2):
-        ax, ay, az = body_T_sensor[0, i], body_T_sensor[1, i], body_T_sensor[2, i]
-        in_sensor[i] = ax * seen[0] + ay * seen[1] + az * seen[2]
-        for j in range(15):
-            derivative_in_sensor[i, j] = ax * jacobian[0, j] + ay * jacobian[1, j] + az * jacobian[2, j]
-    origin = body_T_sensor[0, 3], body_T_sensor[1, 3], body_T_sensor[2, 3]
-    in_sensor[2] = seen[3] - (origin[0] * seen[0] + origin[1] * seen[1] + origin[2] * seen[2])
-    for j in range(15):
-        derivative_in_sensor[2, j] = jacobian[3, j] - (
-            origin[0] * jacobian[0, j] + origin[1] * jacobian[1, j] + origin[2] * jacobian[2, j]
-        )
+    in_sensor, by_tangents = plane_error(world_T_anchor, world_T_body, coefficients, body_T_sensor)
     length = np.sqrt(in_sensor[0] ** 2 + in_sensor[1] ** 2)
     error = np.empty(2)
     derivative = np.empty((2, 15))
@@ -199,14 +186,10 @@ def line_error(world_T_anchor, world_T_body, coefficients, body_T_sensor, points
         gap = in_sensor[2] - in_sensor[0] * points[i, 0] - in_sensor[1] * points[i, 1]
         error[i] = gap / max(length, GRAZING)
         for j in range(15):
-            slope = (
-                derivative_in_sensor[2, j]
-                - derivative_in_sensor[0, j] * points[i, 0]
-                - derivative_in_sensor[1, j] * points[i, 1]
-            )
+            slope = by_tangents[2, j] - by_tangents[0, j] * points[i, 0] - by_tangents[1, j] * points[i, 1]
             derivative[i, j] = slope / max(length, GRAZING)
             if length > GRAZING:
-                stretch = in_sensor[0] * derivative_in_sensor[0, j] + in_sensor[1] * derivative_in_sensor[1, j]
+                stretch = in_sensor[0] * by_tangents[0, j] + in_sensor[1] * by_tangents[1, j]
                 derivative[i, j] -= gap * stretch / length**3
     return error, derivative
 
