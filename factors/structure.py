@@ -118,9 +118,8 @@ def _pair(
     (plane_a, plane_b), (anchor_a, anchor_b) = planes, anchors
     if as_key("plane_a", plane_a) == as_key("plane_b", plane_b):
         raise ValueError(f"plane_b: expected another landmark than plane_a, got the same key {told_key(plane_b)}")
-    for name, anchor in (("anchor_a", anchor_a), ("anchor_b", anchor_b)):
-        if anchor is not None:
-            check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), **{name: anchor})
+    check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), anchor_a=anchor_a)
+    check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), anchor_b=anchor_b)
     return Recipe(
         kernel=kernel,
         data=data,
