@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from slam.cli._output import be_quiet, tell_of_compiling, visible
 from slam.cli.clouds import fit, register
@@ -79,11 +80,9 @@ def _print_version(with_formats: bool) -> None:
 @app.callback(invoke_without_command=True)
 def group(
     context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version; with -v of the data formats too.")
-    ] = False,
-    verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="Say more; twice: all there is.")] = 0,
-    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Results, warnings and errors alone.")] = False,
+    version: Annotated[bool, Option("--version", help="Print the version; with -v of the data formats too.")] = False,
+    verbose: Annotated[int, Option("-v", "--verbose", count=True, help="Say more; twice: all there is.")] = 0,
+    quiet: Annotated[bool, Option("-q", "--quiet", help="Results, warnings and errors alone.")] = False,
 ) -> None:
     """Planes with honest covariances, and plane-based SLAM on GTSAM."""
     if verbose and quiet:

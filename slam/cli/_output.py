@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -50,8 +51,6 @@ def show(title: str, rows: Sequence[Metric], as_json: bool) -> None:
 
 def print_json(data: object) -> None:
     """Plain numbers, strings, lists and dictionaries on stdout."""
-    import json
-
     print(json.dumps(data, indent=1))
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from slam.cli._job import OverwriteOption
 from slam.cli._output import print_json, print_table, visible, warn_of
@@ -15,22 +15,17 @@ if TYPE_CHECKING:
     from slam.runs.cloud_fit import FittedCloud
     from slam.runs.cloud_registration import Registration
 
+Place = tuple[float, float, float]
+
 
 def fit(
-    cloud: Annotated[
-        Path, typer.Argument(help="Cloud: PCD, PLY, text, KITTI .bin, numpy, LAS, LAZ, E57, depth image.")
-    ],
-    sigma: Annotated[
-        float | None,
-        typer.Option("--sigma", help="Standard deviation of the points, m; default: measured."),
-    ] = None,
-    viewpoint: Annotated[
-        tuple[float, float, float], typer.Option("--viewpoint", help="Where a registered cloud was seen from, m.")
-    ] = (0.0, 0.0, 0.0),
-    min_points: Annotated[int, typer.Option("--min-points", min=3, help="Leave out planes of fewer points.")] = 30,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for planes.json, PLY files and a picture.")] = None,
+    cloud: Annotated[Path, Argument(help="Cloud: PCD, PLY, text, KITTI .bin, numpy, LAS, LAZ, E57, depth image.")],
+    sigma: Annotated[float | None, Option(help="Standard deviation of the points, m; default: measured.")] = None,
+    viewpoint: Annotated[Place, Option(help="Where a registered cloud was seen from, m.")] = (0.0, 0.0, 0.0),
+    min_points: Annotated[int, Option(min=3, help="Leave out planes of fewer points.")] = 30,
+    out: Annotated[Path | None, Option(help="Folder for planes.json, PLY files and a picture.")] = None,
     overwrite: OverwriteOption = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the planes as JSON.")] = False,
+    as_json: Annotated[bool, Option("--json", help="Print the planes as JSON.")] = False,
 ) -> None:
     """Find the planes of one CLOUD."""
     from slam.errors import check_cloud_given
@@ -73,7 +68,8 @@ def _show_planes(name: str, found: FittedCloud, as_json: bool) -> None:
     headings = ("", "normal", "d\n(m)", "sigma d\n(mm)", "sigma tilt\n(deg)", "points", "area\n(m2)", "")
     print_table(f"{name}, points of {1000 * found.sigma_m:.3g} mm", headings, words, wrap=False)
     console = Console()
-    share, counts = 100.0 * found.share, found.counts
+    counts = found.counts
+    share = 100.0 * (counts.on_planes / max(counts.returns, 1))
     console.print(f"{len(rows)} planes hold {share:.1f} % of {counts.returns} points; standard deviation {found.note}.")
     console.print(
         f"Of {counts.total} points in the file: {counts.on_planes} on planes, {counts.on_no_plane} on none, "
@@ -86,17 +82,13 @@ _RIVALS, _LEAST_PROBABILITY = 3, 0.01
 
 
 def register(
-    a: Annotated[
-        Path, typer.Argument(help="Cloud in whose frame the pose is told; formats as of fit, and 3DTK's .3d.")
-    ],
-    b: Annotated[Path, typer.Argument(help="Cloud whose pose is looked for.")],
+    a: Annotated[Path, Argument(help="Cloud in whose frame the pose is told; formats as of fit, and 3DTK's .3d.")],
+    b: Annotated[Path, Argument(help="Cloud whose pose is looked for.")],
     guess: Annotated[
         str | None,
-        typer.Option(
-            "--guess", help="Where B may be in A, X,Y,Z,YAW (m, deg) or a file of one pose: looked at, not believed."
-        ),
+        Option(help="Where B may be in A, X,Y,Z,YAW (m, deg) or a file of one pose: looked at, not believed."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print pose and covariance as JSON.")] = False,
+    as_json: Annotated[bool, Option("--json", help="Print pose and covariance as JSON.")] = False,
 ) -> None:
     """Find the pose of cloud B in cloud A, with its covariance, its rivals, and whether it can be believed."""
     from slam.errors import check_cloud_given

@@ -6,27 +6,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
-from slam.cli._job import ConfigOption, JsonOption, KeepPartialOption, OutOption, OverwriteOption, RigOption, of_options
+from slam.cli._job import (
+    ConfigOption,
+    JsonOption,
+    KeepPartialOption,
+    OutOption,
+    OverwriteOption,
+    RigOption,
+    of_options,
+    read_config,
+    read_rig,
+)
 from slam.cli._output import progress_bar, say, show, warn_of
 
 if TYPE_CHECKING:
     from slam.joining import JoinedMap
 
-SignificanceOption = Annotated[
-    float, typer.Option("--significance", help="Probability of joining missions that do not overlap.")
-]
+SignificanceOption = Annotated[float, Option(help="Probability of joining missions that do not overlap.")]
 
 
 def join(
-    runs: Annotated[list[Path], typer.Argument(help="Folders of finished runs, two or more.")],
+    runs: Annotated[list[Path], Argument(help="Folders of finished runs, two or more.")],
     out: OutOption,
     config: ConfigOption = None,
     significance: SignificanceOption = 1e-3,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="End where a run cannot be used; else it is left out.")
-    ] = False,
+    strict: Annotated[bool, Option("--strict", help="End where a run cannot be used; else it is left out.")] = False,
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -34,10 +40,9 @@ def join(
     from slam.files import check_free
 
     check_free(out, overwrite=overwrite, reads=(*runs, config))
-    from slam.config import SlamConfig
     from slam.joining import join as join_runs
 
-    settings = SlamConfig() if config is None else SlamConfig.from_yaml(config)
+    settings = read_config(config)
     with progress_bar("pairs of missions") as progress:
         joined = join_runs(runs, config=settings, significance=significance, strict=strict, progress=progress)
     _write(joined, out, f"{len(runs)} missions", overwrite=overwrite, as_json=as_json)
@@ -47,28 +52,18 @@ def join(
 class FleetOptions:
     """Of `spplanes fleet`."""
 
-    logs: Annotated[list[Path], typer.Argument(help="Logs of missions, two or more.")]
+    logs: Annotated[list[Path], Argument(help="Logs of missions, two or more.")]
     out: OutOption
     rig: RigOption = None
     config: ConfigOption = None
-    scheduler: Annotated[str | None, typer.Option("--scheduler", help="Of a Dask cluster: tcp://HOST:PORT.")] = None
-    scheduler_file: Annotated[
-        Path | None, typer.Option("--scheduler-file", help="File that a Dask scheduler wrote its address into.")
-    ] = None
-    workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes on this machine; default: one for each core.")
-    ] = None
-    memory: Annotated[str, typer.Option("--memory", help="Of each process on this machine, such as 4GB.")] = "auto"
-    store: Annotated[
-        Path | None, typer.Option("--store", help="Folder of finished missions, shared; default: OUT.missions.")
-    ] = None
+    scheduler: Annotated[str | None, Option(help="Of a Dask cluster: tcp://HOST:PORT.")] = None
+    scheduler_file: Annotated[Path | None, Option(help="File that a Dask scheduler wrote its address into.")] = None
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine; default: one for each core.")] = None
+    memory: Annotated[str, Option(help="Of each process on this machine, such as 4GB.")] = "auto"
+    store: Annotated[Path | None, Option(help="Folder of finished missions, shared; default: OUT.missions.")] = None
     significance: SignificanceOption = 1e-3
-    strict: Annotated[bool, typer.Option("--strict", help="End where a log cannot be used; else it is left out.")] = (
-        False
-    )
-    resume: Annotated[bool, typer.Option("--resume", help="Go on; of a fleet that has finished nothing is left.")] = (
-        False
-    )
+    strict: Annotated[bool, Option("--strict", help="End where a log cannot be used; else it is left out.")] = False
+    resume: Annotated[bool, Option("--resume", help="Go on; of a fleet that has finished nothing is left.")] = False
     keep_partial: KeepPartialOption = False
     overwrite: OverwriteOption = False
     as_json: JsonOption = False
@@ -99,12 +94,9 @@ def fleet(options: FleetOptions) -> None:
 
 def _run_fleet(options: FleetOptions, store: Path, is_remote: bool) -> JoinedMap:
     """The missions mapped and joined, on a cluster that is there or on processes of this machine."""
-    from slam.config import SlamConfig
     from slam.fleet import has_dashboard, local_client, remote_client, run
-    from slam.sensors.rig import Rig
 
-    settings = SlamConfig() if options.config is None else SlamConfig.from_yaml(options.config)
-    sensors = None if options.rig is None else Rig.from_yaml(options.rig)
+    config, rig = read_config(options.config), read_rig(options.rig)
     if is_remote:
         client = remote_client(options.scheduler, options.scheduler_file)
     else:
@@ -122,8 +114,8 @@ def _run_fleet(options: FleetOptions, store: Path, is_remote: bool) -> JoinedMap
             options.logs,
             store,
             client=client,
-            rig=sensors,
-            config=settings,
+            rig=rig,
+            config=config,
             significance=options.significance,
             strict=options.strict,
             keep_partial=options.keep_partial,

@@ -6,23 +6,23 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from slam.cli._job import JsonOption, OutOption, OverwriteOption
 from slam.cli._output import print_json, say, show, visible, warn_of
 
 
 def evaluate(
-    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    truth: Annotated[Path, typer.Option("--truth", help="Simulated mission, TUM trajectory or relations.")],
+    run: Annotated[Path, Argument(help="Folder of a run.")],
+    truth: Annotated[Path, Option(help="Simulated mission, TUM trajectory or relations.")],
     truth_of: Annotated[
-        str | None,
-        typer.Option("--truth-of", help="Whose poses a TUM truth has: body, sensor, or a sensor's name in the rig."),
+        str | None, Option(help="Whose poses a TUM truth has: body, sensor, or a sensor's name in the rig.")
     ] = None,
     by_row: Annotated[
-        bool, typer.Option("--by-row", help="Poses of a TUM truth are the run's one by one, whatever their times.")
+        bool, Option("--by-row", help="Poses of a TUM truth are the run's one by one, whatever their times.")
     ] = False,
     clouds: Annotated[
-        Path | None, typer.Option("--clouds", help="Log of RUN: also how sharp its 3D scans are by either trajectory.")
+        Path | None, Option(help="Log of RUN: also how sharp its 3D scans are by either trajectory.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -47,9 +47,9 @@ def evaluate(
 
 
 def explain(
-    run: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")],
-    keyframe: Annotated[int, typer.Argument(help="Index of the keyframe, from 0.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print decisions and their numbers as JSON.")] = False,
+    run: Annotated[Path, Argument(help="Folder of a run, finished or not.")],
+    keyframe: Annotated[int, Argument(help="Index of the keyframe, from 0.")],
+    as_json: Annotated[bool, Option("--json", help="Print decisions and their numbers as JSON.")] = False,
 ) -> None:
     """Say why each plane and line of a KEYFRAME of RUN was matched, or not, and what the keyframe changed."""
     from slam.session.opening import check_session_given, session_path
@@ -67,19 +67,19 @@ def explain(
 
 
 def export(
-    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    run: Annotated[Path, Argument(help="Folder of a run.")],
     to: Annotated[
         list[Path],
-        typer.Option(
+        Option(
             "--to",
             help="File to write, by its ending: .ply, .glb, .g2o, .tum, .kitti (or .kitti.txt); floor plans with "
             "standard deviations: .dxf, .svg, .ifc.",
         ),
     ],
     level: Annotated[
-        bool, typer.Option("--level", help="Turn the world so that the largest floor is level; floor plans always are.")
+        bool, Option("--level", help="Turn the world so that the largest floor is level; floor plans always are.")
     ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    overwrite: Annotated[bool, Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
     from slam.errors import check_run_given
@@ -97,11 +97,9 @@ def export(
 
 
 def view(
-    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the pictures; default: that of the run.")
-    ] = None,
-    rerun: Annotated[Path | None, typer.Option("--rerun", help="Also write a recording for Rerun, FILE.rrd.")] = None,
+    run: Annotated[Path, Argument(help="Folder of a run.")],
+    out: Annotated[Path | None, Option(help="Folder for the pictures; default: that of the run.")] = None,
+    rerun: Annotated[Path | None, Option(help="Also write a recording for Rerun, FILE.rrd.")] = None,
 ) -> None:
     """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
     from slam.errors import check_run_given
@@ -116,10 +114,10 @@ def view(
 
 
 def import_(
-    graph: Annotated[Path, typer.Argument(help="g2o file: the graph.g2o of a run, edited or solved elsewhere.")],
-    run: Annotated[Path, typer.Option("--run", help="Folder of the run that it came from.")],
+    graph: Annotated[Path, Argument(help="g2o file: the graph.g2o of a run, edited or solved elsewhere.")],
+    run: Annotated[Path, Option(help="Folder of the run that it came from.")],
     out: OutOption,
-    as_it_is: Annotated[bool, typer.Option("--as-is", help="Take the vertices as they are, without solving.")] = False,
+    as_it_is: Annotated[bool, Option("--as-is", help="Take the vertices as they are, without solving.")] = False,
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:

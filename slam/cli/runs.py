@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from slam.cli._job import JsonOption, MapOptions, OutOption, OverwriteOption, SlamOptions, of_options, open_job
 from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, show_result, warn_of
@@ -146,8 +147,8 @@ def map_(options: MapOptions) -> None:
 
 def demo(
     out: OutOption = Path("demo"),
-    scans: Annotated[int, typer.Option("--scans", min=2, help="Push-broom scans of the mission.")] = 400,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all noise.")] = 0,
+    scans: Annotated[int, Option(min=2, help="Push-broom scans of the mission.")] = 400,
+    seed: Annotated[int, Option(min=0, help="Seed of all noise.")] = 0,
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -177,13 +178,11 @@ def demo(
 
 
 def simulate(
-    world: Annotated[str, typer.Argument(help="World to drive through: corridor, office, room, or hall for 3D scans.")],
+    world: Annotated[str, Argument(help="World to drive through: corridor, office, room, or hall for 3D scans.")],
     out: OutOption,
-    scans: Annotated[
-        int | None, typer.Option("--scans", min=2, help="Push-broom or 3D scans; default: the whole way.")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all noise.")] = 0,
-    laps: Annotated[int, typer.Option("--laps", min=1, help="Times round a world that is a loop.")] = 1,
+    scans: Annotated[int | None, Option(min=2, help="Push-broom or 3D scans; default: the whole way.")] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of all noise.")] = 0,
+    laps: Annotated[int, Option(min=1, help="Times round a world that is a loop.")] = 1,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Write a simulated mission: log, rig.yaml and the truth."""

@@ -91,22 +91,14 @@ class Face:
 
 def _widths(geometry: BaseGeometry) -> list[Interval]:
     """From where to where each polygon and each segment of a geometry goes along x."""
-    bounds = [polygon.bounds for polygon in polygons_of(geometry)]
-    ends = [
-        (float(segment[:, 0].min()), float(segment[:, 0].max())) for segment in segments_of(geometry) if len(segment)
-    ]
-    return [(low, high) for low, _, high, _ in bounds] + ends
+    corners = [shapely.get_coordinates(polygon) for polygon in polygons_of(geometry)] + segments_of(geometry)
+    return [(float(one[:, 0].min()), float(one[:, 0].max())) for one in corners if len(one)]
 
 
 def face_of(joint: JointPlanes, plane: int, section: Section, low: float, high: float, floor: float) -> Face | None:
-    """A vertical plane as a face of a storey; None where nothing of it was seen there.
+    """A vertical plane, by its index, as a face of a storey; None where nothing of it was seen there.
 
-    Args:
-        joint: all planes.
-        plane: index of the one.
-        section: of the storey.
-        low, high: heights between which the storey is, along the section's normal, m.
-        floor: height of its floor, m.
+    The storey is between the heights `low` and `high` along the section's normal, m, its floor at `floor`.
     """
     up, frame = section.normal, joint.planes[plane].plane.frame
     normal = joint.hesse[plane, :3] - (joint.hesse[plane, :3] @ up) * up

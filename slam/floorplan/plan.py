@@ -22,7 +22,6 @@ class Side:
     """A side of a room: a wall face from corner to corner."""
 
     face: Face
-    """The face."""
     start: FloatArray
     """Its first corner, the room on the left, shape (3,), m."""
     end: FloatArray
@@ -62,6 +61,11 @@ class Room:
     def outline(self) -> tuple[FloatArray, ...]:
         """Corners of each ring, shape (N, 3), m."""
         return tuple(np.array([side.start for side in ring]) for ring in self.rings)
+
+    @property
+    def sides(self) -> list[Side]:
+        """Those of all rings."""
+        return [side for ring in self.rings for side in ring]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +109,10 @@ def floor_plan(joint: JointPlanes) -> FloorPlan:
     Raises:
         ValueError: no vertical plane was seen, or none that is long enough and reaches the ceiling: nothing to draw.
     """
-    levels = storeys(joint)
-    if not any(storey.faces for storey in levels):
+    levels = [storey for storey in storeys(joint) if storey.faces]
+    if not levels:
         raise ValueError("planes: expected at least one vertical plane for a floor plan, got none")
-    levels = [storey for storey in levels if storey.faces]
-    lowest = levels[0].section.floor
-    plans = tuple(_plan_of(joint, storey, lowest) for storey in levels)
+    plans = tuple(_plan_of(joint, storey, levels[0].section.floor) for storey in levels)
     drawn = tuple(plan for plan in plans if plan.rooms or plan.walls or plan.single or plan.openings)
     if not drawn:
         raise ValueError("planes: expected a wall that reaches the ceiling for a floor plan, got none")
@@ -127,8 +129,8 @@ def _plan_of(joint: JointPlanes, storey: Storey, lowest: int | None) -> StoreyPl
     openings = find_openings(joint, storey, faces, walls)
     floor, elevation = storey.section.floor, None
     if floor is not None and lowest is not None:
-        up, place = storey.section.normal, joint.planes[floor].plane.centre
-        rise = (0.0, {}) if floor == lowest else distance(joint.hesse, lowest, floor, place, up)
+        place = joint.planes[floor].plane.centre
+        rise = distance(joint.hesse, lowest, floor, place, storey.section.normal) if floor != lowest else (0.0, {})
         elevation = joint.quantity(*rise)
     return StoreyPlan(storey, elevation, tuple(rooms), tuple(walls), tuple(single), tuple(openings))
 
@@ -147,7 +149,7 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
     middle += (storey.section.d - storey.section.normal @ middle) * storey.section.normal
     widths = tuple(_widths(joint, storey, [side for ring in sides for side in ring], middle))
     height = None
-    below, above = storey.over(shape.buffer(0.0), storey.floors), storey.over(shape.buffer(0.0), storey.ceilings)
+    below, above = (storey.over(shape.buffer(0.0), levels) for levels in (storey.floors, storey.ceilings))
     if below is not None and above is not None:
         height = joint.quantity(*distance(joint.hesse, below.plane, above.plane, middle, storey.section.normal))
     return Room(tuple(sides), middle, joint.quantity(*area(corners, storey.section)), widths, height)
@@ -176,7 +178,7 @@ def _extent(face: Face, rooms: Sequence[Room]) -> list[Interval]:
 
     What was seen beyond the last corner by no more than outlines are rough is of the corner.
     """
-    sides = [side for room in rooms for ring in room.rings for side in ring if side.face is face]
+    sides = [side for room in rooms for side in room.sides if side.face is face]
     ways = [face.s_of(np.array([side.start, side.end])).tolist() for side in sides]
     known: list[Interval] = [(min(way), max(way)) for way in ways]
     ends = {end for span in known for end in span}

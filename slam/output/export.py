@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,8 +12,6 @@ from slam.files import whole_file
 
 if TYPE_CHECKING:
     from slam.runs.stored_run import StoredRun
-
-    _Writer = Callable[[StoredRun, Path], list[str] | None]
 
 
 def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, level: bool = False) -> list[str]:
@@ -37,23 +33,19 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     """
     run, to = Path(run), Path(to)
     check_target(to, overwrite=overwrite)
-    from slam.runs.stored_run import StoredRun  # after what is refused at once: it takes long to import
+    from slam.runs.stored_run import StoredRun, levelled  # after what is refused at once: it takes long to import
 
-    write = _writer_for(to)
-    stored = StoredRun.read(run)
+    ending, stored = _ending_of(to), StoredRun.read(run)
     if level:
-        from slam.runs.stored_run import levelled
-
         turned = levelled(stored)
-        stored = stored if to.suffix.lower() in _PLANS else turned  # these measure the run's own planes once more
+        stored = stored if ending in _PLANS else turned  # these measure the run's own planes once more
     with whole_file(to, overwrite=overwrite) as scratch:
-        return write(stored, scratch) or []
+        return _write(stored, ending, scratch)
 
 
 def check_target(to: Path, *, overwrite: bool) -> None:
     """Refuse a name that says no format or one whose package is missing, or a file that exists, before any work."""
-    _writer_for(to)
-    package = _PLANS.get(to.suffix.lower())
+    package = _PLANS.get(_ending_of(to))
     if package is not None and find_spec(package) is None:
         raise MissingPackageError(to, package, "bim", doing="writing")
     if not to.parent.is_dir():
@@ -63,58 +55,60 @@ def check_target(to: Path, *, overwrite: bool) -> None:
         raise ValueError(f"{to}: exists already; {hint}")
 
 
-def _writer_for(to: Path) -> _Writer:
-    for ending, write in _TARGETS.items():
+#: Endings of floor plans, and the package that each needs.
+_PLANS = {".dxf": "ezdxf", ".svg": None, ".ifc": "ifcopenshell"}
+_ENDINGS = (".ply", ".glb", ".g2o", ".tum", ".kitti", ".kitti.txt", *_PLANS)
+
+
+def _ending_of(to: Path) -> str:
+    for ending in _ENDINGS:
         if to.name.lower().endswith(ending):
-            return write
-    raise ValueError(f"{to}: expected a name that ends in one of {', '.join(_TARGETS)}")
+            return ending
+    raise ValueError(f"{to}: expected a name that ends in one of {', '.join(_ENDINGS)}")
 
 
-def _trajectory(run: StoredRun, path: Path) -> None:
-    """The file of the run itself, unless moved: turned into matrices and back, the last digit could differ."""
-    if run.moved_by is not None:
-        from slam.io.trajectories import write_tum
+def _write(run: StoredRun, ending: str, path: Path) -> list[str]:
+    """Write the file; what to know of it."""
+    from slam.io.trajectories import write_kitti, write_tum
 
-        write_tum(path, run.trajectory)
-        return
-    shutil.copyfile(run.folder / "trajectory.tum", path)
+    match ending:
+        case ".ply":
+            from slam.output.run_files import write_ply
+            from slam.visualization.mesh import mesh_of
+
+            write_ply(path, mesh_of(run.planes))
+        case ".glb":
+            from slam.visualization.mesh import write_glb
+
+            write_glb(path, run.planes)
+        case ".g2o":
+            _write_graph(run, path)
+        case ".tum" if run.moved_by is None:  # turned into matrices and back, the last digit could differ
+            shutil.copyfile(run.folder / "trajectory.tum", path)
+        case ".tum":
+            write_tum(path, run.trajectory)
+        case ".kitti" | ".kitti.txt":
+            write_kitti(path, run.trajectory.poses)
+        case _:
+            return _write_floor_plan(run, ending, path)
+    return []
 
 
-def _graph(run: StoredRun, path: Path) -> None:
+def _write_graph(run: StoredRun, path: Path) -> None:
     source = run.folder / "graph.g2o"
     if not source.is_file():
         raise LogError(source, "expected the graph of a run with poses estimated, found none")
     from slam.io.g2o.reader import read_g2o
+    from slam.io.g2o.writer import in_another_world
 
     read = read_g2o(source)
-    if run.moved_by is not None:
-        from slam.io.g2o.writer import in_another_world
-
+    if run.moved_by is None:
+        shutil.copyfile(source, path)
+    else:
         path.write_text(in_another_world(source, read, run.moved_by), encoding="ascii")
-        return
-    shutil.copyfile(source, path)
 
 
-def _mesh(run: StoredRun, path: Path) -> None:
-    from slam.output.run_files import write_ply
-    from slam.visualization.mesh import mesh_of
-
-    write_ply(path, mesh_of(run.planes))
-
-
-def _scene(run: StoredRun, path: Path) -> None:
-    from slam.visualization.mesh import write_glb
-
-    write_glb(path, run.planes)
-
-
-def _poses(run: StoredRun, path: Path) -> None:
-    from slam.io.trajectories import write_kitti
-
-    write_kitti(path, run.trajectory.poses)
-
-
-def _floor_plan(ending: str, run: StoredRun, path: Path) -> list[str]:
+def _write_floor_plan(run: StoredRun, ending: str, path: Path) -> list[str]:
     """Replay the run, measure its map and write the plan with the verdict on it; what to know of the plan."""
     from slam.output.plan_bim import write_dxf, write_ifc
     from slam.output.plan_drawing import write_svg
@@ -124,16 +118,3 @@ def _floor_plan(ending: str, run: StoredRun, path: Path) -> list[str]:
     write = {".dxf": write_dxf, ".svg": write_svg, ".ifc": write_ifc}[ending]
     write(path, plan, None if run.verdict is None else run.verdict.verdict)
     return plan.warnings
-
-
-#: Endings of floor plans, and the package that each needs.
-_PLANS = {".dxf": "ezdxf", ".svg": None, ".ifc": "ifcopenshell"}
-_TARGETS: dict[str, _Writer] = {
-    ".ply": _mesh,
-    ".glb": _scene,
-    ".g2o": _graph,
-    ".tum": _trajectory,
-    ".kitti": _poses,
-    ".kitti.txt": _poses,
-    **{ending: partial(_floor_plan, ending) for ending in _PLANS},
-}

@@ -19,13 +19,11 @@ from slam.io.planes_json import write_planes
 from slam.io.trajectories import write_tum
 from slam.joining import JoinedComponent, JoinedMap
 from slam.joining.solution import FLOOR_M, FLOOR_RAD, Place, joint_key
-from slam.map.map_planes import MapPlane
 from slam.output.run_files import as_json, write_json, write_result
 from slam.runs.history import History
 from slam.runs.slam_run import path_length_m
 from slam.visualization.pictures import FRAME, WIDTH, draw_planes, save, view_height
 from slam.visualization.report import scene_of, write_report
-from spplanes._check import FloatArray
 
 
 def write_joined(joined: JoinedMap, folder: Path, *, title: str) -> list[Metric]:
@@ -34,13 +32,11 @@ def write_joined(joined: JoinedMap, folder: Path, *, title: str) -> list[Metric]
     The largest component is the folder's run; every other one of more than one mission has a folder of its own in it,
     ``component-2`` and so on.
     """
-    table: list[Metric] = []
-    several = [one for one in joined.components if len(one.missions) > 1]
-    for number, component in enumerate(several or joined.components[:1]):
-        inside = folder if number == 0 else folder / f"component-{number + 1}"
-        inside.mkdir(exist_ok=True)
-        rows = _write_component(component, inside, title, warnings_of(joined) if number == 0 else [])
-        table = rows if number == 0 else table
+    largest, *others = [one for one in joined.components if len(one.missions) > 1] or joined.components[:1]
+    table = _write_component(largest, folder, title, warnings_of(joined))
+    for number, component in enumerate(others, start=2):
+        (inside := folder / f"component-{number}").mkdir()
+        _write_component(component, inside, title, [])
     write_json(folder / "joins.json", joined.to_dict())
     verdicts = [comparison.verdict for comparison in joined.comparisons]
     return [
@@ -136,12 +132,8 @@ def draw_missions(component: JoinedComponent, path: Path) -> None:
     figure = Figure(figsize=(WIDTH, view_height(component, "plan") + FRAME), layout="constrained")
     axes = figure.subplots()
     colours = mpl.colormaps["tab10"](np.arange(10))[:, :3]
-    first = {number: places[0].mission for number, places in enumerate(component.classes)}
-
-    def of_mission(plane: MapPlane) -> FloatArray:
-        return colours[first[plane.id] % len(colours)]
-
-    draw_planes(axes, component.planes, "plan", of_mission)
+    first = [places[0].mission for places in component.classes]
+    draw_planes(axes, component.planes, "plan", lambda plane: colours[first[plane.id] % len(colours)])
     for number, (name, trajectory) in enumerate(component.trajectories.items()):
         colour = colours[number % len(colours)]
         axes.plot(*trajectory.poses[:, :2, 3].T, color=colour, lw=1.2, marker=".", ms=3, label=name)

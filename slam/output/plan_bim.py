@@ -74,7 +74,8 @@ class _Storey:
         one = self._drawing
         for layer, shapes in (("ROOM", one.rooms), ("WALL", one.walls), ("OPENING", [one.openings])):
             for ring in chain.from_iterable(shapes):
-                self._closed(layer, ring)
+                attributes = {**self._on(layer), "elevation": self._z}
+                self._space.add_lwpolyline([tuple(xy) for xy in ring], close=True, dxfattribs=attributes)
         for a, b in one.faces:
             self._space.add_line((*a, self._z), (*b, self._z), dxfattribs=self._on("FACE"))
         for dimension in one.dimensions:
@@ -87,32 +88,26 @@ class _Storey:
     def _on(self, layer: str) -> dict[str, Any]:
         return {"layer": f"{self._prefix}-{layer}"}
 
-    def _closed(self, layer: str, corners: Any) -> None:
-        attributes = {**self._on(layer), "elevation": self._z}
-        self._space.add_lwpolyline([tuple(xy) for xy in corners], close=True, dxfattribs=attributes)
-
     def _text(self, text: str, place: Any, attachment: int = 5) -> None:
         attributes = {**self._on("TEXT"), "char_height": _TEXT_M, "attachment_point": attachment}
         self._space.add_mtext(text, dxfattribs={**attributes, "insert": (*place, self._z)})
 
     def _dimension(self, start: Any, end: Any, offset: float, text: str) -> None:
         override = {"dimtxt": _DIMENSION_M, "dimasz": 0.05, "dimexe": 0.02, "dimexo": 0.02, "dimgap": 0.02, "dimtad": 1}
-        made = self._space.add_aligned_dim(
-            tuple(start), tuple(end), offset, text=text, dimstyle="EZDXF", override=override,
-            dxfattribs=self._on("DIMENSION"),
-        )  # fmt: skip
+        look = {"dimstyle": "EZDXF", "override": override, "dxfattribs": self._on("DIMENSION")}
+        made = self._space.add_aligned_dim(tuple(start), tuple(end), offset, text=text, **look)
         made.render()
         made.dimension.translate(0.0, 0.0, self._z)
 
 
 #: Property set of what was measured: every value X has its XStandardDeviation beside it, in the same unit.
 MEASURED = "SPPlanes_Measured"
-_UNITS = (
-    ("LENGTHUNIT", "METRE"),
-    ("AREAUNIT", "SQUARE_METRE"),
-    ("VOLUMEUNIT", "CUBIC_METRE"),
-    ("PLANEANGLEUNIT", "RADIAN"),
-)
+_UNITS = {
+    "LENGTHUNIT": "METRE",
+    "AREAUNIT": "SQUARE_METRE",
+    "VOLUMEUNIT": "CUBIC_METRE",
+    "PLANEANGLEUNIT": "RADIAN",
+}
 
 
 def write_ifc(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
@@ -144,11 +139,9 @@ class _Building:
 
     def text(self) -> str:
         """The file."""
-        units = [self._new("IfcSIUnit", None, kind, None, name) for kind, name in _UNITS]
-        project = self._new(
-            "IfcProject", self._id("project"), None, "spplanes", None, None, None, None, [self._context],
-            self._new("IfcUnitAssignment", units),
-        )  # fmt: skip
+        units = [self._new("IfcSIUnit", None, kind, None, name) for kind, name in _UNITS.items()]
+        empty, units = (None,) * 4, self._new("IfcUnitAssignment", units)
+        project = self._new("IfcProject", self._id("project"), None, "spplanes", *empty, [self._context], units)
         site = self._spatial("IfcSite", "site", None, (None,) * 5)
         building = self._spatial("IfcBuilding", "building", None, (None,) * 3)
         self._properties(building, {}, {"Verdict": self._new("IfcLabel", self._verdict)})
@@ -185,20 +178,19 @@ class _Building:
         space = self._element("IfcSpace", name, storey, body, (None, "ELEMENT", "INTERNAL", None))
         measures = {"NetFloorArea": room.area, "Height": room.height}
         measures |= {f"Width{k + 1}": width.distance for k, width in enumerate(room.widths)}
-        sides = [side for ring in room.rings for side in ring]
-        self._properties(space, measures | {f"Side{k + 1}Length": one.length for k, one in enumerate(sides)})
+        self._properties(space, measures | {f"Side{k + 1}Length": one.length for k, one in enumerate(room.sides)})
         self._quantities(space, "Qto_SpaceBaseQuantities", {"NetFloorArea": room.area, "Height": room.height})
         return space
 
     def _wall(self, name: str, wall: Wall, plan: StoreyPlan, storey: Any) -> Any:
-        body = self._body([plan.storey.in_plan(wall.outline)], 0.0, _height_at(plan, (wall.front, wall.back)))
+        body = self._body([plan.storey.in_plan(wall.outline)], 0.0, _height_at(plan, wall.front, wall.back))
         element = self._element("IfcWall", name, storey, body, (None, "SOLIDWALL"))
         self._properties(element, {"Thickness": wall.thickness}, {"OtherSideSeen": self._new("IfcBoolean", True)})
         self._quantities(element, "Qto_WallBaseQuantities", {"Width": wall.thickness})
         return element
 
     def _face(self, name: str, face: Face, span: tuple[float, float], plan: StoreyPlan, storey: Any) -> Any:
-        ends, height = plan.storey.in_plan(np.array([face.point(s) for s in span])), _height_at(plan, (face,))
+        ends, height = plan.storey.in_plan(np.array([face.point(s) for s in span])), _height_at(plan, face)
         corners = [(*ends[0], 0.0), (*ends[1], 0.0), (*ends[1], height), (*ends[0], height)]
         loop = self._new("IfcPolyLoop", [self._point(corner) for corner in corners])
         surface = self._new("IfcFace", [self._new("IfcFaceOuterBound", loop, True)])
@@ -211,8 +203,7 @@ class _Building:
     def _opening(self, name: str, opening: Opening, plan: StoreyPlan, wall: Any, storey: Any) -> None:
         low = opening.sill.value if opening.sill is not None else opening.seen_from_m
         high = opening.height.value if opening.height is not None else opening.seen_to_m
-        if high is None:
-            high = _height_at(plan, (opening.face,))
+        high = _height_at(plan, opening.face) if high is None else high
         outline = plan.storey.in_plan(opening.outline)
         through = outline + 0.05 * (outline - outline.mean(axis=0)) @ _across(outline)
         element = self._element("IfcOpeningElement", name, storey, self._body([through], low, high), (None, "OPENING"))
@@ -294,13 +285,12 @@ def _across(outline: FloatArray) -> FloatArray:
     return np.outer(way, way)
 
 
-def _height_at(plan: StoreyPlan, faces: Iterable[Face]) -> float:
+def _height_at(plan: StoreyPlan, *faces: Face) -> float:
     """Height of the rooms that faces are sides of; of the faces as they were seen where there is none."""
-    faces = list(faces)
-    rooms = [room for room in plan.rooms if any(side.face in faces for ring in room.rings for side in ring)]
+    rooms = [room for room in plan.rooms if any(side.face in faces for side in room.sides)]
     return _height_over(plan, rooms) if rooms else max(face.top for face in faces)
 
 
 def _height_over(plan: StoreyPlan, rooms: list[Room]) -> float:
     heights = [room.height.value for room in rooms if room.height is not None]
-    return max(heights) if heights else max(side.face.top for room in rooms for ring in room.rings for side in ring)
+    return max(heights) if heights else max(side.face.top for room in rooms for side in room.sides)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -93,17 +94,11 @@ def write_result(
 
 
 def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
-    """Put a table into the metrics.json of a run, beside what is there.
-
-    Raises:
-        ValueError: the folder has no metrics.json that can be read and written.
-    """
+    """Put a table into the metrics.json of a run, beside what is there; ValueError: that cannot be read and written."""
     path = folder / "metrics.json"
+    scratch = path.with_suffix(".json.new")
     try:
-        numbers = json.loads(path.read_text(encoding="utf-8"))
-        numbers[key] = as_json(rows)
-        scratch = path.with_suffix(".json.new")
-        write_json(scratch, numbers)
+        write_json(scratch, {**json.loads(path.read_text(encoding="utf-8")), key: as_json(rows)})
         os.replace(scratch, path)
     except OSError as error:
         raise ValueError(f"{path}: cannot be read and written ({error.strerror})") from error
@@ -113,9 +108,7 @@ def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
 
 def as_json(rows: Sequence[Metric]) -> list[dict[str, Any]]:
     """Rows of a table as JSON; what could not be measured, NaN, becomes null."""
-    return [
-        {"metric": row.name, "value": None if row.value != row.value else row.value, "unit": row.unit} for row in rows
-    ]
+    return [{"metric": name, "value": value if value == value else None, "unit": unit} for name, value, unit in rows]
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:
@@ -145,30 +138,22 @@ _MOST_CLOUDS, _MOST_SCANS = 24, 400
 def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
     """Returns of scans at their poses, shape (N, 3), m, N at most `MOST_POINTS`; the same ones each time.
 
-    Args:
-        log: whose scans; those of sensors that the rig does not have, and of files that cannot be read, are left out.
-        rig: where the sensors sit and how far they see.
-        scans: world_T_body at the scans, by what they are stamped.
+    `scans` are world_T_body at the scans, by what they are stamped. Left out are scans of sensors that the rig does not
+    have, and of files that cannot be read.
     """
     known = [one for one in log.scans() if one.sensor in rig.sensors]
     stamps = log.as_stamped([one.stamp_ns for one in known]).tolist()
-    rows = np.searchsorted(scans.stamps_ns, stamps)
-    posed = [
-        (one, row)
-        for one, stamp, row in zip(known, stamps, rows.tolist(), strict=True)
-        if row < len(scans) and scans.stamps_ns[row] == stamp
-    ]
+    poses = dict(zip(scans.stamps_ns.tolist(), scans.poses, strict=True))
+    posed = [(one, poses[stamp]) for one, stamp in zip(known, stamps, strict=True) if stamp in poses]
     most = _MOST_CLOUDS if any(isinstance(one, CloudScan) for one, _ in posed) else _MOST_SCANS
     chosen = [posed[k] for k in evenly(len(posed), most)]
     parts = [np.empty((0, 3))]
-    for scan, row in chosen:
+    for scan, pose in chosen:
         sensor = rig.sensors[scan.sensor]
-        try:
+        with suppress(LogError):
             seen = returns_of(scan, sensor)
-        except LogError:
-            continue
-        kept = seen[evenly(len(seen), MOST_POINTS // len(chosen))]
-        parts.append(lift(kept, scans.poses[row] @ sensor.body_T_sensor))
+            kept = seen[evenly(len(seen), MOST_POINTS // len(chosen))]
+            parts.append(lift(kept, pose @ sensor.body_T_sensor))
     return np.concatenate(parts)
 
 

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -38,9 +38,7 @@ class Source:
     """Where the data of a run come from, and what is kept of them."""
 
     path: Path
-    """The log."""
     keep_partial: bool = False
-    """Use what precedes a cut in it."""
     raw: RawScans = "reference"
     """Whether the session keeps the raw scans themselves, or where they are."""
     forget_raw: bool = False
@@ -62,16 +60,9 @@ class Source:
         known = session.log
         if known is None:
             raise SessionError(f"{session.path}: expected the session of a log, got one that was fed by a program")
-        path = Path(known["path"]) if moved_to is None else moved_to
+        path, options = moved_to or Path(known["path"]), (known["keep_partial"], known["raw"], known["forget_raw"])
         odometry = known.get("odometry")  # sessions of earlier versions have none
-        return cls(
-            path,
-            known["keep_partial"],
-            known["raw"],
-            known["forget_raw"],
-            None if odometry is None else Path(odometry["path"]),
-            tuple(known.get("assumed", ())),
-        )
+        return cls(path, *options, odometry and Path(odometry["path"]), tuple(known.get("assumed", ())))
 
 
 def _file_as_json(path: Path) -> dict[str, Any]:
@@ -96,10 +87,7 @@ def new_run(
     """
     check_free(Path(out), overwrite=overwrite, reads=(source.path, source.odometry))
     begun_with = {"rig": rig, "prior": None if prior is None else prior.to_bytes(), "log": source.as_json()}
-    with (
-        _fresh(Path(out), config, begun_with) as folder,
-        Session.open(folder / SESSION_FILE) as session,
-    ):
+    with _fresh(Path(out), config, begun_with) as folder, Session.open(folder / SESSION_FILE) as session:
         sync_folder(folder.parent)  # after the session is open: its own sync of the journal has done most of this
         recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
         yield PlaneSlam(config, prior=prior, recorder=recorder)
@@ -109,9 +97,7 @@ def new_run(
 def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[tuple[PlaneSlam, Log, Rig]]:
     """The run of a folder in the state in which it ended, however it ended: estimator, log to go on with, rig.
 
-    Args:
-        folder: the run's folder.
-        log_path: the log, where it lies elsewhere by now; it may have grown.
+    The log may lie elsewhere by now, and it may have grown.
 
     Raises:
         FinishedAlready: there is nothing to go on with.
@@ -161,19 +147,14 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
             shutil.rmtree(left, ignore_errors=True)
     recorder = run.slam.recorder
     if isinstance(recorder, SessionRecorder):
-        results = _results(run)
+        results: dict[str, bytes] = {}
+        with suppress(BackendError):  # a map that cannot be a prior is a map all the same
+            results["map"] = finished_map(run.planes, run.slam.landmarks, run.slam.backend)
         if run.repairs is not None:
             results[_REPAIRS] = json.dumps([asdict(repair) for repair in run.repairs]).encode()
         recorder.session.finish(**results)
     for replaced in replaced_by(folder):
         shutil.rmtree(replaced.parent, ignore_errors=True)
-
-
-def _results(run: Run) -> dict[str, bytes]:
-    try:
-        return {"map": finished_map(run.planes, run.slam.landmarks, run.slam.backend)}
-    except BackendError:  # a map that cannot be a prior is a map all the same
-        return {}
 
 
 def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from slam.evaluation import (
-    FacingPair,
     Metric,
     absolute_error,
     facing_pairs,
@@ -52,7 +51,7 @@ def metrics_of(run: Run) -> list[Metric]:
     if length > 0.0:
         rows.append(Metric("metres of wall", length, "m"))
         rows.append(Metric("wall landmarks per metre of wall", n_walls / length, "1/m"))
-    rows += _pair_rows(facing_pairs(run.planes)[:6])
+    rows += _pair_rows(run.planes)
     if steps := [step for step in run.slam.odometry_record.steps if step.check.off is not None]:
         rows.append(Metric("odometry errs, times what is stated, by 3D scans", steps[-1].scale, ""))
     rows += _calibration_rows(run)
@@ -66,14 +65,13 @@ def metrics_of(run: Run) -> list[Metric]:
 def map_metrics_of(result: MapResult) -> list[Metric]:
     """The table of a map made at given poses: the columns of the paper's, and the room."""
     seen = result.n_points_seen
-    rows = [
+    return [
         Metric("scans", len(result.trajectory), ""),
         Metric("points", seen, ""),
         Metric("planes", len(result.planes), ""),
         Metric("points represented", 100.0 * result.n_points_represented / seen if seen else 0.0, "%"),
+        *_pair_rows(result.planes),
     ]
-    rows += _pair_rows(facing_pairs(result.planes)[:6])
-    return rows
 
 
 def timings_of(stages: Mapping[str, float]) -> list[Metric]:
@@ -104,9 +102,7 @@ def warnings_of(run: Run) -> list[str]:
     rules = run.slam.config.observability
     # what a flat floor or the motion model holds to less than a tenth of that is no news to whoever drives
     limits = {"position": 0.1 * rules.max_sigma_m, "orientation": 0.1 * rules.max_sigma_rad}
-    directions = [
-        direction.sentence for direction in run.slam.open_directions if direction.sigma >= limits[direction.part]
-    ]
+    directions = [one.sentence for one in run.slam.open_directions if one.sigma >= limits[one.part]]
     known = run.slam.prior.warnings if run.slam.prior is not None else []
     health = [*skipped(notes), *silences(run.log, run.rig), *blind(run.slam.keyframes)]
     has_no_odometry = any(frame.motion is None for frame in run.slam.keyframes[1:])  # of some keyframe
@@ -124,9 +120,7 @@ def assumptions_of(log: Log) -> list[str]:
 
 def empty_map(planes: Sequence[MapPlane]) -> list[str]:
     """The sentence that says so where a map has no planes."""
-    if planes:
-        return []
-    return ["the map is empty: no plane was seen often and well enough"]
+    return [] if planes else ["the map is empty: no plane was seen often and well enough"]
 
 
 def _calibration_rows(run: Run) -> list[Metric]:
@@ -143,9 +137,9 @@ def _calibration_rows(run: Run) -> list[Metric]:
     ]
 
 
-def _pair_rows(pairs: list[FacingPair]) -> list[Metric]:
+def _pair_rows(planes: Sequence[MapPlane]) -> list[Metric]:
     rows = []
-    for pair in pairs:
+    for pair in facing_pairs(planes)[:6]:
         between = f"planes {pair.first} and {pair.second}"
         rows.append(Metric(f"{pair.name} between {between}", pair.distance_m, "m"))
         rows.append(Metric(f"  its standard deviation ({between})", pair.sigma_m, "m"))
@@ -181,17 +175,16 @@ def _trajectory_rows(name: str, path: Trajectory, truth: Trajectory) -> list[Met
 
 def _room_rows(run: Run, truth: Truth, moved: Mapping[int, Plane]) -> list[Metric]:
     """Height and width between the largest facing planes, and the same between their true planes."""
-    rows = []
-    for name in ("height", "width"):
-        for pair in facing_pairs(run.planes):
-            if pair.name != name or pair.first not in moved or pair.second not in moved:
-                continue
-            matches = match_planes([moved[pair.first], moved[pair.second]], truth.planes)
-            if len(matches) != 2:
-                continue
+    found: dict[str, list[Metric]] = {"height": [], "width": []}
+    for pair in facing_pairs(run.planes):
+        if found[pair.name] or not moved.keys() >= {pair.first, pair.second}:
+            continue
+        matches = match_planes([moved[pair.first], moved[pair.second]], truth.planes)
+        if len(matches) == 2:
             first, second = (truth.planes[match.true] for match in matches)
-            rows.append(Metric(f"corridor {name}, estimate", pair.distance_m, "m"))
-            rows.append(Metric(f"corridor {name}, truth", abs(float(first.distance(second.centre))), "m"))
-            rows.append(Metric(f"corridor {name}, predicted standard deviation", pair.sigma_m, "m"))
-            break
-    return rows
+            found[pair.name] = [
+                Metric(f"corridor {pair.name}, estimate", pair.distance_m, "m"),
+                Metric(f"corridor {pair.name}, truth", abs(float(first.distance(second.centre))), "m"),
+                Metric(f"corridor {pair.name}, predicted standard deviation", pair.sigma_m, "m"),
+            ]
+    return found["height"] + found["width"]

@@ -27,13 +27,11 @@ class PointCounts:
     """Every point of a cloud, counted once."""
 
     total: int
-    """In the file."""
     no_return: int
     """Not finite, or at the sensor."""
     repeated: int
     """The same as another point, to the last bit."""
     on_planes: int
-    """On a plane."""
     edge_on: int
     """On planes flagged as seen edge-on from the viewpoint: a line of the scan, not a surface."""
     on_no_plane: int
@@ -62,11 +60,10 @@ class FittedCloud:
     octave_sigma_m: float
     """Standard deviation of an octave of the error that neighbouring points share, m."""
     note: str
-    """Where it comes from, one sentence."""
+    """Where these come from, one sentence."""
     viewpoint: FloatArray
     """Where the cloud was seen from, in that frame, shape (3,), m."""
     counts: PointCounts
-    """What became of every point of the file."""
     warnings: list[str]
     """What speaks against these planes, a sentence each."""
 
@@ -77,11 +74,6 @@ class FittedCloud:
             MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("scan",))
             for index, plane in enumerate(self.planes)
         ]
-
-    @property
-    def share(self) -> float:
-        """Share of the returns that belong to a plane."""
-        return self.counts.on_planes / max(self.counts.returns, 1)
 
     def at_least(self, n_points: int) -> FittedCloud:
         """Only the planes of so many points; they come first."""
@@ -113,16 +105,10 @@ class FittedCloud:
 def fit_cloud(
     cloud: Cloud, source: Path, *, sigma_m: float | None = None, viewpoint: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> FittedCloud:
-    """Find the planes of a cloud, as `segment_cloud` does.
+    """Find the planes of a cloud in its sensor's frame, as `segment_cloud` does; LogError: no three points.
 
-    Args:
-        cloud: points in the sensor's frame.
-        source: for messages.
-        sigma_m: standard deviation of the points, m, at least; None: measured in the cloud.
-        viewpoint: where a cloud in another frame than the sensor's was seen from, m: normals point there.
-
-    Raises:
-        LogError: no three points.
+    The points scatter by `sigma_m`, at least; None: by what the cloud shows. A cloud in another frame than the sensor's
+    was seen from `viewpoint`, m: normals point there.
     """
     if sum(np.isfinite(cloud.points[..., 0]).ravel()) < 3:
         raise LogError(source, "expected at least three points, got fewer")
@@ -132,20 +118,11 @@ def fit_cloud(
     seen = np.isfinite(flat).all(axis=1) & (flat != np.asarray(viewpoint)).any(axis=1)
     points = flat[seen] @ back[:3, :3].T + back[:3, 3]
     eye = back[:3, :3] @ np.asarray(viewpoint, dtype=np.float64) + back[:3, 3]
-    coverage, noise = found.coverage, found.noise
+    coverage, noise = found.coverage, (found.noise.sigma_m, found.noise.octave_sigma_m)
     counts = PointCounts(coverage.total, coverage.no_return, coverage.repeated, 0, 0, 0)
-    return FittedCloud(
-        [plane.transform(back) for plane in found.planes],
-        found.flags,
-        points,
-        labels[seen],
-        noise.sigma_m,
-        noise.octave_sigma_m,
-        note,
-        eye,
-        _counted(counts, found.planes, found.flags),
-        found.warnings,
-    )
+    counts = _counted(counts, found.planes, found.flags)
+    planes = [plane.transform(back) for plane in found.planes]
+    return FittedCloud(planes, found.flags, points, labels[seen], *noise, note, eye, counts, found.warnings)
 
 
 def _segmented(points: FloatArray, sigma_m: float | None, viewpoint: Sequence[float]) -> tuple[CloudPlanes, str]:

@@ -61,7 +61,6 @@ class Registration:
         """Plain numbers, for JSON."""
         sigmas = np.sqrt(np.diag(self.covariance))
         return {
-            "a_T_b": self.a_T_b.tolist(),
             **_told(self.a_T_b),
             "sigma_xyz_m": sigmas[:3].tolist(),
             "sigma_ypr_deg": np.rad2deg(sigmas[3:]).tolist(),
@@ -70,28 +69,24 @@ class Registration:
             "open": list(self.open),
             "verdict": self.verdict.verdict,
             "reasons": self.verdict.reasons,
-            "rivals": [
-                {"a_T_b": rival.a_T_b.tolist(), **_told(rival.a_T_b), "probability": rival.probability}
-                for rival in self.rivals
-            ],
+            "rivals": [{**_told(rival.a_T_b), "probability": rival.probability} for rival in self.rivals],
             "overlap": self.overlap,
             "nis_per_dof": self.nis_per_dof if np.isfinite(self.nis_per_dof) else None,
         }
 
 
-def _told(pose: FloatArray) -> dict[str, list[float]]:
-    """A pose (4, 4) as numbers for people."""
+def _told(pose: FloatArray) -> dict[str, list[Any]]:
+    """A pose (4, 4), and as numbers for people."""
     numbers = rpy_from_transform(pose)
-    return {"xyz_m": numbers[:3].tolist(), "ypr_deg": np.rad2deg(numbers[3:]).tolist()}
+    return {"a_T_b": pose.tolist(), "xyz_m": numbers[:3].tolist(), "ypr_deg": np.rad2deg(numbers[3:]).tolist()}
 
 
 def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = None) -> Registration:
     """The pose of cloud B in the frame of cloud A, files of any format that `slam.io.load.load_cloud` reads.
 
-    Planes propose places anywhere, all returns decide between them. From the likeliest a run
-    of two keyframes refines the pose, by the planes and by what the returns on none of them add. Each cloud is in its
-    sensor's frame, a depth image in its camera's. The verdict says whether that is the place, or may be another one, or
-    another building.
+    Planes propose places anywhere, all returns decide between them. From the likeliest a run of two keyframes refines
+    the pose, by the planes and by what the returns on none of them add. Each cloud is in its sensor's frame, a depth
+    image in its camera's. The verdict says whether that is the place, or may be another one, or another building.
 
     The sensors' noise is assumed, as for a folder of such clouds. What it really is the planes that both clouds have
     tell: the covariance is scaled by their chi2 (variance of unit weight).
@@ -108,20 +103,19 @@ def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = 
     files = Path(a), Path(b)
     start = None if guess is None else as_transform("guess", guess)
     (seen_a, mount_a), (seen_b, mount_b) = (_measured(path) for path in files)
-    about = None if start is None else mount_a @ start @ inverse(mount_b)
-    place = find_place(seen_a, seen_b, about)
-    slam = None if place is None else _run_of_two(seen_a, seen_b, place)
-    chi2 = [] if slam is None else _chi2_of_pairs(slam)
-    if place is None or slam is None or not chi2:
-        raise ValueError(f"{files[0].name}, {files[1].name}: expected planes that both clouds have, found none")
-    return _registration(slam, place, chi2, (mount_a, mount_b))
+    place = find_place(seen_a, seen_b, None if start is None else mount_a @ start @ inverse(mount_b))
+    if place is not None:
+        slam = _run_of_two(seen_a, seen_b, place)
+        if chi2 := _chi2_of_pairs(slam):
+            return _registration(slam, place, chi2, (mount_a, mount_b))
+    raise ValueError(f"{files[0].name}, {files[1].name}: expected planes that both clouds have, found none")
 
 
 def _measured(path: Path) -> tuple[Keyframe, FloatArray]:
     """What a cloud shows in the frame of a body that its sensor is on, and that sensor's body_T_sensor (4, 4)."""
     log, rig = load_cloud(path)
     rig = with_shown_errors(log, rig)
-    ((_, sensor),) = rig.sensors.items()
+    (sensor,) = rig.sensors.values()
     return next(keyframes_of(log, rig, SlamConfig())), sensor.body_T_sensor
 
 
@@ -166,16 +160,10 @@ def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], mounts: 
     a_T_body, b_T_sensor = inverse(mounts[0]), mounts[1]
     moved = gtsam.Pose3(inverse(b_T_sensor)).AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = np.asarray(moved @ covariance @ moved.T, dtype=np.float64)
-    return Registration(
-        a_T_body @ inverse(first) @ second @ b_T_sensor,
-        covariance,
-        len(chi2),
-        tuple(stretch.sentence for stretch in slam.open_directions),
-        judge(place.match, covariance),
-        tuple(rival._replace(a_T_b=a_T_body @ rival.a_T_b @ b_T_sensor) for rival in place.rivals),
-        place.overlap,
-        nis,
-    )
+    a_T_b, verdict = a_T_body @ inverse(first) @ second @ b_T_sensor, judge(place.match, covariance)
+    open_ = tuple(stretch.sentence for stretch in slam.open_directions)
+    rivals = tuple(rival._replace(a_T_b=a_T_body @ rival.a_T_b @ b_T_sensor) for rival in place.rivals)
+    return Registration(a_T_b, covariance, len(chi2), open_, verdict, rivals, place.overlap, nis)
 
 
 def read_guess(text: str) -> FloatArray:
@@ -230,35 +218,30 @@ ABOUT_M, ABOUT_RAD = 0.3, 0.15
 
 
 class Rival(NamedTuple):
-    """Another place that a cloud may be at."""
+    """Another place (4, 4) that a cloud may be at; its probability is by how the returns fit there."""
 
     a_T_b: FloatArray
-    """Shape (4, 4)."""
     probability: float
-    """Of all places that were looked at, by how well the returns fit there."""
 
 
 class Place(NamedTuple):
-    """Where a scan most likely is, and what speaks for and against it."""
+    """Where a scan most likely is, (4, 4), other places, the likeliest first, and what planes and lines of sight say.
+
+    The overlap is the share of the surface elements of B that lie on a surface of A.
+    """
 
     a_T_b: FloatArray
-    """Shape (4, 4)."""
     overlap: float
-    """Share of the surface elements of B that lie on a surface of A."""
     rivals: tuple[Rival, ...]
-    """Other places, the likeliest first."""
     match: CloudMatch
-    """What planes and lines of sight say."""
 
 
 def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Place | None:
     """Where a 3D scan is in the frame of another one; a guess is one hypothesis among others.
 
     Planes propose places anywhere, and about the guess; beside them are the guess, that nothing moved, and turns on the
-    spot. The returns of both scans decide (`slam.registration.surface_registration.align`).
-
-    Returns:
-        None where one of them has no surface elements.
+    spot. The returns of both scans decide (`slam.registration.surface_registration.align`). None: one of them has no
+    surface elements.
     """
     scan, known = scan_of(b), scan_of(a)
     if scan is None or known is None:
@@ -270,9 +253,8 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
     chances = np.exp([one.log_likelihood - ranked[0].log_likelihood for one in ranked])
     rivals = [Rival(one.known_T_seen, float(p)) for one, p in zip(ranked, chances / chances.sum(), strict=True)][1:]
     matched = [_one_to_one(pairs_under(one.known_T_seen, mine, theirs)) for one in ranked]
-    up = np.array([0.0, 0.0, 1.0])
     a_T_b = found.known_T_seen
-    from_a, from_b = ScanView(known, up), ScanView(scan, a_T_b[2, :3])
+    from_a, from_b = ScanView(known, np.array([0.0, 0.0, 1.0])), ScanView(scan, a_T_b[2, :3])
     looks = (compare(from_a, from_b, a_T_b), compare(from_b, from_a, inverse(a_T_b)))
     wrong = sum(rival.probability for rival in rivals)
     match = CloudMatch(len(mine.normals), matched[0], tuple(matched[1:]), looks, wrong)
@@ -282,15 +264,13 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
 def _hypotheses(a: Keyframe, b: Keyframe, guess: FloatArray | None) -> list[FloatArray]:
     seen, known = planes_of(b.observations), planes_of(a.observations)
     places = [one.known_T_seen for _, one in places_anywhere(seen, known)[:_PROPOSED]]
-    for start in (np.eye(4), guess):
-        if start is None:
-            continue
-        about = register_planes_globally(
-            seen, [plane.transform(inverse(start)) for plane in known], (_GUESS_M, _GUESS_RAD)
-        )
+    guesses = [] if guess is None else [guess]
+    for start in (np.eye(4), *guesses):
+        there = [plane.transform(inverse(start)) for plane in known]
+        about = register_planes_globally(seen, there, (_GUESS_M, _GUESS_RAD))
         places += [] if about is None else [start @ about.known_T_seen]
     turns = [planar_transform(0.0, 0.0, turn) for turn in 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS]
-    return [*places, *turns, *([] if guess is None else [guess])]
+    return [*places, *turns, *guesses]
 
 
 def _distinct(found: Alignment) -> list[Tried]:

@@ -39,23 +39,16 @@ class ImportedRun:
     trajectory: Trajectory
     """All poses of the run; those that the graph does not have stay where they were relative to the nearest in time."""
     odometry: Trajectory
-    """As in the run."""
     graph: str
     """Text of the g2o file, its vertices at the solution."""
     table: list[Metric]
-    """What changed."""
 
 
 def import_graph(path: Path | str, run: Path | str, *, solve: bool = True) -> ImportedRun:
-    """Read a g2o file that began as the graph.g2o of ``run``, with the same vertex ids.
+    """Read a g2o file that began as the graph.g2o of ``run``, with the same vertex ids, solved or as it is.
 
     A plane's outline and points are the run's: it goes where the nearest pose that sees it went, and from there by the
     shortest way onto the plane of its vertex. Covariances are the marginals of the graph in the file.
-
-    Args:
-        path: the g2o file.
-        run: folder of the run.
-        solve: take the optimum of the file's graph; otherwise its vertices as they are.
 
     Raises:
         LogError: a file that is missing or broken, that shares no pose with the run's graph or has the measurements of
@@ -72,16 +65,16 @@ def import_graph(path: Path | str, run: Path | str, *, solve: bool = True) -> Im
     _check_origin(before, after, path, run)
     values, marginals = _solution(after, path, solve=solve)
     moved = _Moved(before, values, shared)
-    numbers = _vertices_of(stored.planes, before)
-    kept = [(known, numbers[known.id]) for known in stored.planes if numbers.get(known.id) in after.planes]
-    observers = _observers(after.graph)
+    numbers, observers = _vertices_of(stored.planes, before), _observers(after.graph)
     planes = []
-    for known, number in kept:
-        key = after.planes[number]
-        motion = moved.beside(known.plane.centre, observers[key])
-        planes.append(replace(known, plane=_placed(known.plane, motion, values.atOrientedPlane3(key), marginals, key)))
+    for known in stored.planes:
+        if (number := numbers.get(known.id)) in after.planes:
+            key = after.planes[number]
+            motion = moved.beside(known.plane.centre, observers[key])
+            plane = _placed(known.plane, motion, values.atOrientedPlane3(key), marginals, key)
+            planes.append(replace(known, plane=plane))
     trajectory = moved.trajectory(stored.trajectory)
-    table = _changes(stored, planes, trajectory, after, values, len(after.planes) - len(kept))
+    table = _changes(stored, planes, trajectory, after, values)
     return ImportedRun(planes, trajectory, stored.odometry, with_vertices(path, after, values), table)
 
 
@@ -191,14 +184,14 @@ def _placed(
 
 
 def _changes(
-    run: StoredRun, planes: list[MapPlane], trajectory: Trajectory, graph: G2oGraph, values: gtsam.Values, unknown: int
+    run: StoredRun, planes: list[MapPlane], trajectory: Trajectory, graph: G2oGraph, values: gtsam.Values
 ) -> list[Metric]:
     steps = np.linalg.norm(trajectory.poses[:, :3, 3] - run.trajectory.poses[:, :3, 3], axis=1)
     return [
         Metric("poses in the graph", len(graph.poses), ""),
         Metric("planes taken over", len(planes), ""),
         Metric("planes of the run that the graph has no more", len(run.planes) - len(planes), ""),
-        Metric("planes of the graph without an outline, left out", unknown, ""),
+        Metric("planes of the graph without an outline, left out", len(graph.planes) - len(planes), ""),
         Metric("largest shift of a pose", float(steps.max(initial=0.0)), "m"),
         Metric("chi2 of the file as it is", 2.0 * graph.graph.error(graph.values), ""),
         Metric("chi2 of what was taken", 2.0 * graph.graph.error(values), ""),

@@ -48,10 +48,8 @@ class History:
         kinds = {plane.id: plane.kinds for plane in planes}
         if slam is None:
             return cls(seen, kinds, points=points)
-        covariances = {
-            keyframe: slam.marginal_covariance(pose_symbol(keyframe))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-            for keyframe in evenly(len(slam.keyframes), _MOST_POSES)
-        }
+        chosen = evenly(len(slam.keyframes), _MOST_POSES)
+        covariances = {k: slam.marginal_covariance(pose_symbol(k))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)] for k in chosen}
         return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances, points)
 
     def write(self, path: Path) -> None:
@@ -68,11 +66,7 @@ class History:
 
     @classmethod
     def read(cls, path: Path) -> History:
-        """Read what `write` wrote.
-
-        Raises:
-            LogError: the file is something else.
-        """
+        """Read what `write` wrote; LogError: the file is something else."""
         with damage_told(path, "expected the view.json of a run, got something else"):
             document = json.loads(read_bytes(path))
             if not isinstance(document, dict) or document.get("format") != FORMAT:

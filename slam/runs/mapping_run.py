@@ -59,8 +59,10 @@ def run_map(
         LogError: no push-broom scans, scans without a pose or out of time order, or beam counts that change.
     """
     clock = clock or StageClock()
-    has_clouds = any(isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud") for scan in log.scans())
-    return (_map_clouds if has_clouds else _map_slices)(log, rig, config, clock, progress)
+    clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
+    if clouds:
+        return _map_clouds(clouds, log, rig, config, clock, progress)
+    return _map_slices(log, rig, config, clock, progress)
 
 
 def _map_slices(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None) -> MapResult:
@@ -94,9 +96,7 @@ def _map_slices(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progr
         planes = mapper.planes
     stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
     poses = Trajectory(stamps, np.array([_pose_of(scan, log) for scan in scans]))
-    found = [
-        MapPlane(index, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for index, plane in enumerate(planes)
-    ]
+    found = [MapPlane(k, plane, plane.outline or shapely.Polygon(), 1, ("map",)) for k, plane in enumerate(planes)]
     at_scans, counts = given_at_scans(log, poses), (mapper.n_points_seen, mapper.n_points_represented)
     return MapResult(found, poses, at_scans, Trajectory.empty(), *counts, clock)
 
@@ -124,15 +124,11 @@ def _check_alike(scans: list[LaserScan], log: Log) -> None:
     """Raise where time runs backwards from scan to scan or the number of beams changes."""
     for before, scan in pairwise(scans):
         if scan.stamp_ns < before.stamp_ns:
-            raise LogError(
-                log.source,
-                f"expected scans of {scan.sensor!r} in time order, got {scan.stamp_ns} ns after {before.stamp_ns} ns",
-            )
-        if len(scan.ranges) != len(before.ranges):
-            raise LogError(
-                log.source,
-                f"expected {len(before.ranges)} beams in every scan of {scan.sensor!r}, got {len(scan.ranges)}",
-            )
+            times = f"got {scan.stamp_ns} ns after {before.stamp_ns} ns"
+            raise LogError(log.source, f"expected scans of {scan.sensor!r} in time order, {times}")
+        beams, before_it = len(scan.ranges), len(before.ranges)
+        if beams != before_it:
+            raise LogError(log.source, f"expected {before_it} beams in every scan of {scan.sensor!r}, got {beams}")
 
 
 def _pose_of(scan: LaserScan | CloudScan, log: Log) -> FloatArray:
@@ -146,13 +142,14 @@ def _pose_of(scan: LaserScan | CloudScan, log: Log) -> FloatArray:
 _HELD_M, _HELD_RAD = 1e-4, 1e-5
 
 
-def _map_clouds(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None) -> MapResult:
+def _map_clouds(
+    scans: list[CloudScan], log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None
+) -> MapResult:
     """Planes of the 3D scans of a log, at the poses that the log gives; LogError: a scan without one.
 
     The error of a scan's pose, `rig.localisation`, is added to the covariance of its planes: scan by scan on its own,
     as if the errors of neighbouring poses had nothing in common.
     """
-    scans = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]
     poses = [_pose_of(scan, log) for scan in scans]
     slam = PlaneSlam(_for_given_poses(config))
     location = None if rig.localisation is None else rig.localisation.location_covariance()
@@ -164,7 +161,9 @@ def _map_clouds(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progr
         n_seen += int(np.isfinite(whole.points[..., 0]).sum())
         n_represented += sum(one.n_points for one in seen)
         with clock.stage("map"):
-            slam.add_keyframe(_keyframe(scan, [_placed(one, location) for one in seen], poses[: index + 1][-2:]))
+            if location is not None:
+                seen = [replace(one, plane=one.plane.transform(np.eye(4), location)) for one in seen]
+            slam.add_keyframe(_keyframe(scan, seen, poses[: index + 1][-2:]))
         if progress is not None:
             progress(index + 1, len(scans))
     with clock.stage("map"):
@@ -179,11 +178,6 @@ def _keyframe(scan: CloudScan, seen: Sequence[PlaneObservation], poses: Sequence
         return Keyframe(scan.stamp_ns, seen, world_T_body_guess=poses[0])
     held = np.diag([_HELD_M**2] * 3 + [_HELD_RAD**2] * 3)
     return Keyframe(scan.stamp_ns, seen, Motion(inverse(poses[0]) @ poses[1], held, (_HELD_M, _HELD_RAD, _HELD_RAD)))
-
-
-def _placed(seen: PlaneObservation, location: FloatArray | None) -> PlaneObservation:
-    """The plane as known from a pose that is known only so well."""
-    return seen if location is None else replace(seen, plane=seen.plane.transform(np.eye(4), location))
 
 
 def _for_given_poses(config: SlamConfig) -> SlamConfig:

@@ -64,35 +64,28 @@ class Repair:
 
 
 class Repaired(NamedTuple):
-    """A run, its verdict, and what was done to it."""
+    """The estimator, the verdict on its map (None: not asked for, nothing would be done about it), and the repairs."""
 
     slam: PlaneSlam
-    """The estimator, the one that was where nothing was repaired."""
     verdict: Verdict | None
-    """On its map; None: it was not asked for, for nothing would have been done about it."""
     repairs: tuple[Repair, ...]
-    """One after the other."""
 
 
 class _Alternative(NamedTuple):
-    """Another way to explain a drive."""
+    """Another way to explain a drive: places by the later keyframe, the start in a prior map, what it would mend."""
 
     places: Places
-    """That keyframes stand near, by the later keyframe."""
     prior: PriorMap | None
-    """With the start in it."""
     repair: Repair
-    """What it would mend."""
 
 
 def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Repaired:
     """The verdict on a run that has ended, and the run mended where it is not sound and the drive tells how.
 
-    The verdict names what contradicts the map. The other way to explain the drive is the one that all stretches of it
-    agree on when each is held against each (`slam.loop_closure.whole_drive`), for drives with level lasers on a floor;
-    in a prior map, the start from which the map of the drive alone lies on it (`slam.joining.overlap`). Where places
-    are elsewhere by that, the keyframes are mapped again with these known. The new map is kept where the evidence
-    speaks less against it, and mended again until nothing gets better.
+    The other way to explain the drive is the one that all stretches of it agree on when each is held against each
+    (`slam.loop_closure.whole_drive`), for drives with level lasers on a floor; in a prior map, the start from which the
+    map of the drive alone lies on it (`slam.joining.overlap`). Where places are elsewhere by that, the keyframes are
+    mapped again with these known. The new map is kept where the evidence speaks less against it, and mended again.
     """
     if not is_open_to_repair(slam) or (slam.prior is None and all(frame.returns is None for frame in slam.keyframes)):
         return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it

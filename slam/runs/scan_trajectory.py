@@ -38,9 +38,7 @@ def scan_trajectory(keyframes: Trajectory, log: Log, rig: Rig, config: SlamConfi
 def given_at_scans(log: Log, mapped: Trajectory) -> Trajectory:
     """The poses that a log gives for its scans, each once; of scans that have none interpolated in time.
 
-    Args:
-        log: of which at least the scans mapped have poses.
-        mapped: those scans' poses, which stand where another sensor's scan of the same time has another.
+    Those of the scans `mapped` stand where another sensor's scan of the same time has another.
     """
     given = {scan.stamp_ns: scan.world_T_body for scan in log.scans() if scan.world_T_body is not None}
     given |= dict(zip(mapped.stamps_ns.tolist(), mapped.poses, strict=True))
@@ -65,23 +63,17 @@ def odometry_of(log: Log, rig: Rig, trajectory: Trajectory, stamps_ns: np.ndarra
 
 
 def carried(keyframes: Trajectory, stamps_ns: np.ndarray, track: OdometryTrack | None) -> Trajectory:
-    """Poses at times between those of keyframes; at a keyframe's own time its estimate, bit for bit.
+    """Poses at times (N,), strictly ascending, ns; at a keyframe's own time its estimate, bit for bit.
 
     Between two keyframes odometry tells the motion from the one before and to the one after. Where the two disagree
     the pose is a share of the geodesic of SE(3) between them: the share of the odometry's uncertainty that the way up
     to there has gathered, by the wheels' noise model, so that where the robot stands nothing moves. Without odometry
     the share is that of the time. Before the first keyframe and after the last, odometry alone; without it the pose
     stands.
-
-    Args:
-        keyframes: world_T_body, shape (K, 4, 4).
-        stamps_ns: wanted times, strictly ascending, shape (N,), ns.
-        track: the odometry; None: there is none.
     """
     if not len(keyframes) or not len(stamps_ns):
         return Trajectory.empty()
-    stamps = np.asarray(stamps_ns, dtype=np.int64)
-    known = keyframes.stamps_ns
+    stamps, known = np.asarray(stamps_ns, dtype=np.int64), keyframes.stamps_ns
     times = np.union1d(stamps, known)
     moved = np.tile(np.eye(4), (len(times), 1, 1)) if track is None else track.poses_at(times.tolist())
     gathered = np.zeros(len(times)) if track is None else _uncertainty(track, moved)

@@ -107,7 +107,14 @@ def run_slam(
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
     rig = _add_keyframes(slam, log, rig, config, jobs, progress)
-    slam, repairs, judged = _ended(slam, rig, repair, batch, progress)
+    repairs, judged = None, None
+    if repair:
+        with clock.stage("repair"):
+            slam, judged, repairs = repaired(slam, rig, progress)
+    if batch:
+        judged = None  # it was on another map
+        with clock.stage("batch"):
+            slam.adopt_batch()
     with clock.stage("map"):
         planes = slam.planes
     trajectory = slam.trajectory
@@ -132,21 +139,6 @@ def _add_keyframes(
             if progress is not None:
                 progress(done + 1, total)
     return rig
-
-
-def _ended(
-    slam: PlaneSlam, rig: Rig, repair: bool, batch: bool, progress: Progress | None
-) -> tuple[PlaneSlam, tuple[Repair, ...] | None, Verdict | None]:
-    """The estimator with all that is done at the end, what was mended, and the verdict on its map where it is known."""
-    repairs, judged = None, None
-    if repair:
-        with slam.clock.stage("repair"):
-            slam, judged, repairs = repaired(slam, rig, progress)
-    if batch:
-        judged = None  # it was on another map
-        with slam.clock.stage("batch"):
-            slam.adopt_batch()
-    return slam, repairs, judged
 
 
 def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:

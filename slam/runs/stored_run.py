@@ -73,8 +73,7 @@ class StoredRun:
             kinds = history.kinds.get(stored.id, ())
             planes.append(MapPlane(stored.id, stored.plane, seen, stored.observations, kinds))
         trajectory = read_tum(folder / "trajectory.tum")
-        numbers = _numbers(folder / "metrics.json")
-        return cls(folder, planes, trajectory, odometry, history, *numbers)
+        return cls(folder, planes, trajectory, odometry, history, *_numbers(folder / "metrics.json"))
 
 
 def _numbers(path: Path) -> tuple[list[tuple[str, list[Metric]]], Verdict | None]:
@@ -83,8 +82,8 @@ def _numbers(path: Path) -> tuple[list[tuple[str, list[Metric]]], Verdict | None
         return [], None
     with damage_told(path, "expected the metrics.json of a run, got something else"):
         document = json.loads(read_bytes(path))
-        pairs = [("the run" if key == "metrics" else str(key), value) for key, value in document.items()]
-        tables = [(caption, [_metric(row) for row in rows]) for caption, rows in pairs if _is_table(rows)]
+        found = {key: [_metric(row) for row in rows] for key, rows in document.items() if _is_table(rows)}
+        tables = [("the run" if key == "metrics" else key, rows) for key, rows in found.items()]
         said = document.get("verdict")
         return tables, None if said is None else Verdict.from_dicts(said, document.get("evidence", []))
 
@@ -125,25 +124,17 @@ def _as_json(decision: Decision, seen: Observation) -> dict[str, Any]:
         {"landmark": one.landmark, "chi2": one.chi2, "dof": one.dof, "p": one.p_value, "confirmed": one.confirmed}
         for one in decision.candidates
     ]
-    return {
-        "observation": decision.observation,
-        "kind": seen.kind,
-        "points": int(seen.n_points),
-        "verdict": decision.verdict,
-        "landmark": None if decision.match is None else decision.match.landmark,
-        "candidates": candidates,
-    }
+    landmark = None if decision.match is None else decision.match.landmark
+    told = {"observation": decision.observation, "kind": seen.kind, "points": int(seen.n_points)}
+    return {**told, "verdict": decision.verdict, "landmark": landmark, "candidates": candidates}
 
 
 def levelled(run: StoredRun) -> StoredRun:
-    """The run in a world whose z is the normal of its largest floor: on that plane z is constant.
+    """The run in a world whose z is the normal of its largest floor; the turn (4, 4) is its ``moved_by``.
 
     Of all turns about the world's origin it is the one that leaves the heading, by which x keeps its direction in plan:
     (x, y) are those of the floor plan. It is a change of coordinates, exact: covariances of planes and of poses are in
     their own frames and stay what they are. How well the floor's tilt is known is in the floor's own covariance.
-
-    Returns:
-        The run with planes, trajectory, odometry and points turned, and the turn (4, 4) as ``moved_by``.
 
     Raises:
         LogError: no plane of the map is a floor: seen from above, within 30 deg of the world's z.

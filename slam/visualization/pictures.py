@@ -70,9 +70,9 @@ def draw_one(run: Drawn, view: str, path: Path, doubtful: Sequence[int] = ()) ->
     _draw_views(run, [view], FRAME, path, doubtful)
 
 
-def _draw_views(run: Drawn, views: Sequence[str], frames: float, path: Path, doubtful: Sequence[int]) -> None:
+def _draw_views(run: Drawn, views: Sequence[str], frame: float, path: Path, doubtful: Sequence[int]) -> None:
     heights = [view_height(run, view) for view in views]
-    figure = Figure(figsize=(WIDTH, sum(heights) + frames), layout="constrained")
+    figure = Figure(figsize=(WIDTH, sum(heights) + frame), layout="constrained")
     axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
     for axis, view in zip(axes, views, strict=True):
         draw_view(axis, run, view)
@@ -181,7 +181,8 @@ def draw_uncertainty(run: Drawn, history: History, path: Path) -> None:
     """
     figure = Figure(figsize=(WIDTH, view_height(run, "plan") + FRAME), layout="constrained")
     axes = figure.subplots()
-    scale = Normalize(0.0, _upper([_sigma_mm(plane) for plane in run.planes]))
+    sigmas = [_sigma_mm(plane) for plane in run.planes]  # the scale ends where 95 % of the planes stay below
+    scale = Normalize(0.0, float(np.quantile(sigmas, 0.95)) if max(sigmas, default=0.0) > 0.0 else 1.0)
     colours = colormaps["viridis"]
 
     def by_sigma(plane: MapPlane) -> FloatArray:
@@ -215,27 +216,13 @@ def _draw_ellipses(axes: Any, run: Drawn, history: History) -> str:
     width = float(np.ptp(axes.get_xlim()))
     factor = 10.0 ** max(np.floor(np.log10(_LARGEST_SHARE * width / largest)), 0.0) if largest > 0.0 else 1.0
     angles = np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
-    ellipses = EllipseCollection(
-        factor * diameters[:, 1],
-        factor * diameters[:, 0],
-        angles,
-        units="xy",
-        offsets=places[:, :2],
-        transOffset=axes.transData,
-        facecolors=[(0.2, 0.4, 0.9, 0.15)],
-        edgecolors=["tab:blue"],
-        linewidths=0.8,
-        zorder=3,
-    )
-    axes.add_collection(ellipses)
+    sizes = factor * diameters[:, 1], factor * diameters[:, 0], angles
+    at: dict[str, Any] = {"units": "xy", "offsets": places[:, :2], "transOffset": axes.transData}
+    look: dict[str, Any] = {"facecolors": [(0.2, 0.4, 0.9, 0.15)], "edgecolors": ["tab:blue"], "linewidths": 0.8}
+    axes.add_collection(EllipseCollection(*sizes, zorder=3, **at, **look))
     enlarged = "" if factor == 1.0 else f", enlarged {factor:.0f} times"
     return f"; ellipses: {CONFIDENCE:.0%} of positions{enlarged}"
 
 
 def _sigma_mm(plane: MapPlane) -> float:
     return 1e3 * float(np.sqrt(plane.plane.covariance[0, 0]))
-
-
-def _upper(sigmas: list[float]) -> float:
-    """Where the scale of colours ends: what 95 % of the planes stay below."""
-    return float(np.quantile(sigmas, 0.95)) if sigmas and max(sigmas) > 0.0 else 1.0

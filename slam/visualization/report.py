@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from itertools import chain
@@ -42,15 +42,8 @@ def write_report(
 ) -> None:
     """Write the page: verdict, map, planes and pictures, charts, and folded below them the tables.
 
-    Everything that comes from files is escaped, pictures and script are embedded.
-
-    Args:
-        path: the page.
-        title: its heading.
-        tables: (caption, rows) each.
-        pictures: PNG files.
-        scene: what `slam.visualization.report.scene_of` makes.
-        verdict: what the run says of itself, on top; None: nothing.
+    Everything that comes from files is escaped, pictures (PNG files) and script are embedded. The tables are (caption,
+    rows) each; the scene is what `scene_of` makes.
     """
     parts = [_picture(picture) for picture in pictures]
     parts += ['<div id="charts"></div>', *(_table(caption, rows) for caption, rows in tables)]
@@ -72,13 +65,11 @@ def format_value(value: float | int | str) -> str:
 
 
 def _table(caption: str, rows: Sequence[Metric]) -> str:
-    lines = [
-        f'<tr><td>{escape(row.name)}</td><td class="n">{escape(format_value(row.value))}</td>'
-        f"<td>{escape(row.unit)}</td></tr>"
-        for row in rows
-    ]
-    head = '<tr><th>metric</th><th class="n">value</th><th>unit</th></tr>'
-    return f"<details><summary>{escape(caption)}</summary>\n<table>{head}{''.join(lines)}</table></details>"
+    lines = ['<tr><th>metric</th><th class="n">value</th><th>unit</th></tr>']
+    for row in rows:
+        name, value, unit = (escape(text) for text in (row.name, format_value(row.value), row.unit))
+        lines.append(f'<tr><td>{name}</td><td class="n">{value}</td><td>{unit}</td></tr>')
+    return f"<details><summary>{escape(caption)}</summary>\n<table>{''.join(lines)}</table></details>"
 
 
 def _verdict(verdict: Verdict) -> str:
@@ -166,10 +157,7 @@ def _series(kind: str, rows: Sequence[tuple[int, float, int]]) -> dict[str, Any]
 
 
 def _plane(plane: MapPlane) -> dict[str, Any]:
-    frame = plane.plane.frame
-    seen = without_slits(plane.seen)
-    segments = [_rounded(lift(chain, frame)) for chain in segments_of(seen)]
-    inside = _inside(plane.seen)
+    frame, seen, inside = plane.plane.frame, without_slits(plane.seen), _inside(plane.seen)
     sigmas = np.sqrt(np.diag(plane.plane.covariance))
     return {
         "id": plane.id,
@@ -182,8 +170,11 @@ def _plane(plane: MapPlane) -> dict[str, Any]:
         "kinds": list(plane.kinds),
         "area_m2": float(plane.seen.area),
         "colour": list(colour_of(plane)),
-        "faces": [[_ring(ring, frame) for ring in (part.exterior, *part.interiors)] for part in polygons_of(seen)],
-        "segments": segments,
+        "faces": [
+            [_rounded(lift(get_coordinates(ring)[:-1], frame)) for ring in (part.exterior, *part.interiors)]
+            for part in polygons_of(seen)
+        ],
+        "segments": [_rounded(lift(chain, frame)) for chain in segments_of(seen)],
         "inside": _rounded(lift(np.array([[inside.x, inside.y]]), frame))[0],
     }
 
@@ -196,10 +187,6 @@ def _inside(seen: BaseGeometry) -> Point:
     if lines := [LineString(chain) for chain in segments_of(seen)]:
         return max(lines, key=lambda line: line.length).interpolate(0.5, normalized=True)
     return seen.representative_point()
-
-
-def _ring(ring: Any, frame: FloatArray) -> list[list[float]]:
-    return _rounded(lift(get_coordinates(ring)[:-1], frame))
 
 
 def _path(trajectory: Trajectory) -> list[list[float]]:
@@ -237,15 +224,12 @@ def view_run(run: Path | str, out: Path | str | None = None, *, recording: Path 
     stored = StoredRun.read(run)
     doubtful = () if stored.verdict is None else stored.verdict.keyframes
     folder = stored.folder if out is None else Path(out)
-    pictures: dict[str, Callable[[Path], None]] = {
-        "plan.png": lambda path: draw_one(stored, "plan", path, doubtful),
-        "side.png": lambda path: draw_one(stored, "side", path, doubtful),
-        "uncertainty.png": lambda path: draw_uncertainty(stored, stored.history, path),
-    }
-    for name, draw in pictures.items():
-        with whole_file(folder / name) as scratch:
-            draw(scratch)
-    drawn = [folder / name for name in pictures]
+    *views, uncertainty = drawn = [folder / name for name in ("plan.png", "side.png", "uncertainty.png")]
+    for picture in views:
+        with whole_file(picture) as scratch:
+            draw_one(stored, picture.stem, scratch, doubtful)
+    with whole_file(uncertainty) as scratch:
+        draw_uncertainty(stored, stored.history, scratch)
     with whole_file(folder / "report.html") as scratch:
         scene = scene_of(stored, stored.history, doubtful)
         title = f"spplanes: {stored.folder.resolve().name}"
