@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,9 @@ from slam.session.store import Session
 from slam.simulation.record import Truth
 from spplanes._check import FloatArray
 
-#: Name of the row that says how many poses were compared.
+#: Names of the rows that say how many poses were compared, and how many there are.
 COMPARED = "poses compared"
+_COUNTS = (COMPARED, "poses of the run", "poses of the truth")
 #: Before the names of the rows of the odometry, and the row in which both are compared in a sentence.
 _ALONE, _ERROR = "odometry alone: ", "ATE translation rmse"
 #: Numbers that an alignment in space takes, and the relative standard deviation of a root mean square beyond which a
@@ -71,17 +73,16 @@ def compare_with_truth(
     check_finished(run)
     if truth.is_file() and "relations" not in truth.name:
         reference, notes = read_reference(run, truth, truth_of=truth_of, by_row=by_row)
-        rows = _for_each_path(run, lambda path: trajectory_metrics(path, reference))
+        rows = _for_each_path(run, partial(trajectory_metrics, truth=reference))
         return Evaluation(rows, [*notes, *_what_was_compared(run, rows)])
     if by_row or truth_of not in (None, BODY):
         raise ValueError(f"{truth}: expected a TUM trajectory where rows or a sensor's poses are asked for")
     if truth.is_file():
-        relations = read_relations(truth)
-        rows = _for_each_path(run, lambda path: relation_metrics(path, relations))
+        rows = _for_each_path(run, partial(relation_metrics, relations=read_relations(truth)))
         return Evaluation(rows, _what_was_compared(run, rows))
     check_truth_given(truth)
     known = Truth.read(_truth_folder(truth))
-    rows = _for_each_path(run, lambda path: trajectory_metrics(path, known.trajectory))
+    rows = _for_each_path(run, partial(trajectory_metrics, truth=known.trajectory))
     move = truth_T_estimate(read_tum(run / "trajectory.tum"), known.trajectory)
     planes = [plane.transform(move) for plane in read_planes(run / "planes.json") if plane.outline is not None]
     found = plane_metrics(planes, known.planes, visible=known.visible_in_3d())
@@ -116,12 +117,8 @@ def trajectory_metrics(estimate: Trajectory, truth: Trajectory) -> list[Metric]:
     they are few or lie on a line.
     """
     by_poses = absolute_error(estimate, truth, alignment="poses")
-    n_compared = by_poses.translation_m.size
-    rows = [
-        Metric(COMPARED, n_compared, ""),
-        Metric("poses of the run", len(estimate), ""),
-        Metric("poses of the truth", len(truth), ""),
-    ]
+    counts = by_poses.translation_m.size, len(estimate), len(truth)
+    rows = [Metric(name, count, "") for name, count in zip(_COUNTS, counts, strict=True)]
     rows += PoseErrors(absolute_error(estimate, truth).translation_m, by_poses.rotation_rad).metrics("ATE")
     rows += [row for row in by_poses.metrics("ATE of aligned poses,") if row.unit == "m"]
     rows += absolute_error(estimate, truth, alignment="first").metrics("ATE from the first pose,")
@@ -130,17 +127,12 @@ def trajectory_metrics(estimate: Trajectory, truth: Trajectory) -> list[Metric]:
 
 def _what_was_compared(run: Path, rows: list[Metric]) -> list[str]:
     """How much of the run and of the truth the figures are of, and how far so few can be believed."""
-    values = {row.name: int(row.value) for row in rows if row.unit == "" and row.value == row.value}
-    file = best_path(run).name
+    values, file = {row.name: row.value for row in rows}, best_path(run).name
     if FOUND in values:
         return [f"scored {values[FOUND]} of {values[STATED]} relations, by {file}"]
-    compared = values[COMPARED]
-    errors = {row.name: row.value for row in rows}
-    notes = [
-        f"compared {compared} of {values['poses of the run']} poses of the run ({file}) with "
-        f"{values['poses of the truth']} of the truth"
-    ]
-    mine, alone = (errors.get(f"{whose}{_ERROR}", np.nan) for whose in ("", _ALONE))
+    compared, of_run, of_truth = (values[name] for name in _COUNTS)
+    notes = [f"compared {compared} of {of_run} poses of the run ({file}) with {of_truth} of the truth"]
+    mine, alone = (values.get(f"{whose}{_ERROR}", np.nan) for whose in ("", _ALONE))
     if np.isfinite(alone):
         word = "less" if alone < mine else "more"
         notes.append(f"odometry alone errs by {alone:.4f} m, {word} than the estimate with {mine:.4f} m ({_ERROR})")
@@ -198,17 +190,11 @@ def read_reference(
 def _is_of_camera(run: Path, truth: Path) -> bool:
     if truth.name not in CAMERA_POSES:
         return False
-    place = truth.resolve().parent
-    return any(is_depth_folder(folder) for folder in (place, place.parent)) or _was_of_depth_images(run)
-
-
-def _was_of_depth_images(run: Path) -> bool:
-    """Whether the session says that the run was made from depth images, and they are still there."""
-    if not session_path(run).is_file():
-        return False
-    with Session.open(run, read_only=True) as session:
-        log = session.log
-    return log is not None and is_depth_folder(Path(log["path"]))
+    places = list(truth.resolve().parents[:2])
+    if session_path(run).is_file():  # it says what the run was made from
+        with Session.open(run, read_only=True) as session:
+            places += [] if session.log is None else [Path(session.log["path"])]
+    return any(is_depth_folder(place) for place in places)
 
 
 def _sensor(run: Path, wanted: str) -> tuple[str, FloatArray]:

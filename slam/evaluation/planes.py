@@ -53,18 +53,18 @@ def match_planes(estimated: Sequence[Plane], true: Sequence[Plane]) -> list[Plan
 
 
 def _match_one(index: int, plane: Plane, true: Sequence[Plane]) -> PlaneMatch | None:
-    best: tuple[float, int] | None = None
-    for candidate, truth in enumerate(true):
-        if plane.normal @ truth.normal < np.cos(ANGLE_GATE_RAD) or abs(truth.distance(plane.centre)) > DISTANCE_GATE_M:
-            continue
-        misfit = _misfit(plane, truth)
-        if (best is None or misfit < best[0]) and _overlap(plane, truth) >= OVERLAP_GATE:
-            best = (misfit, candidate)
+    cosine = np.cos(ANGLE_GATE_RAD)
+    near = [
+        (_misfit(plane, truth), number)
+        for number, truth in enumerate(true)
+        if plane.normal @ truth.normal >= cosine and abs(truth.distance(plane.centre)) <= DISTANCE_GATE_M
+    ]
+    best = next((number for _, number in sorted(near) if _overlap(plane, true[number]) >= OVERLAP_GATE), None)
     if best is None:
         return None
-    truth = true[best[1]]
+    truth = true[best]
     angle = float(np.arctan2(np.linalg.norm(np.cross(plane.normal, truth.normal)), plane.normal @ truth.normal))
-    return PlaneMatch(index, best[1], angle, float(truth.distance(plane.centre)), plane.mahalanobis(truth))
+    return PlaneMatch(index, best, angle, float(truth.distance(plane.centre)), plane.mahalanobis(truth))
 
 
 def _misfit(plane: Plane, truth: Plane) -> float:
@@ -104,19 +104,19 @@ def plane_metrics(
     matches = match_planes(estimated, true)
     wanted = set(range(len(true))) if visible is None else set(visible)
     hit = {match.true for match in matches}
-    angles = np.rad2deg([match.angle_rad for match in matches])
-    distances = np.abs([match.distance_m for match in matches])
+    rows = [(np.rad2deg(match.angle_rad), abs(match.distance_m), match.nees) for match in matches]
+    angles, distances, nees = np.array(rows or [[np.nan] * 3]).T
     return [
         Metric("planes estimated", len(estimated), ""),
         Metric("planes true", len(wanted), ""),
         Metric("planes missed", 100.0 * _share(len(wanted - hit), len(wanted)), "%"),
         Metric("planes duplicate", 100.0 * _share(len(matches) - len(hit), len(matches)), "%"),
         Metric("planes invented", 100.0 * _share(len(estimated) - len(matches), len(estimated)), "%"),
-        Metric("plane angle median", float(np.median(angles)) if matches else float("nan"), "deg"),
-        Metric("plane angle max", float(angles.max(initial=0.0)) if matches else float("nan"), "deg"),
-        Metric("plane distance median", float(np.median(distances)) if matches else float("nan"), "m"),
-        Metric("plane distance max", float(distances.max(initial=0.0)) if matches else float("nan"), "m"),
-        Metric("plane NEES mean", float(np.mean([m.nees for m in matches])) if matches else float("nan"), ""),
+        Metric("plane angle median", float(np.median(angles)), "deg"),
+        Metric("plane angle max", float(angles.max()), "deg"),
+        Metric("plane distance median", float(np.median(distances)), "m"),
+        Metric("plane distance max", float(distances.max()), "m"),
+        Metric("plane NEES mean", float(nees.mean()), ""),
     ]
 
 
@@ -174,15 +174,8 @@ def _pair(first: MapPlane, second: MapPlane) -> FacingPair | None:
     gap = float(-b.distance(foot) / (b.normal @ direction))
     sigma = float(np.sqrt(_variance_at(a, foot) + _variance_at(b, b.project(foot))))
     name = "height" if abs(direction[2]) > _VERTICAL_COSINE else "width"
-    return FacingPair(
-        name=name,
-        first=first.id,
-        second=second.id,
-        distance_m=abs(gap),
-        sigma_m=sigma,
-        angle_deg=float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))),
-        overlap_m2=float(shared.area),
-    )
+    angle = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return FacingPair(name, first.id, second.id, abs(gap), sigma, angle, float(shared.area))
 
 
 def _surest_place(a: Plane, b: Plane, shared: BaseGeometry) -> shapely.Point:

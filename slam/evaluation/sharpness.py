@@ -32,12 +32,10 @@ _CUT = 4.0
 
 @dataclass(frozen=True)
 class Sharpness:
-    """Distances of points from the planes that scans share, by two sets of poses."""
+    """Median distances of the same points from planes that scans share, by two sets of poses; NaN: none is shared."""
 
     estimate_m: float
-    """Median distance by the poses asked about, m; NaN where no plane is shared."""
     reference_m: float
-    """Median distance of the same points by the poses beside them, m."""
     cells: int
     """Pieces of planes that were looked at."""
 
@@ -74,8 +72,6 @@ def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference
     shared = _shared(cell, scan)
     mine, theirs, cell = mine[shared[cell]], theirs[shared[cell]], cell[shared[cell]]
     cell = np.unique(cell, return_inverse=True)[1].ravel()
-    if not len(cell):
-        return Sharpness(np.nan, np.nan, 0)
     here, there = _Pieces.of(mine, cell), _Pieces.of(theirs, cell)
     both = here.flat & there.flat & ~here.are_cut
     if not both.any():

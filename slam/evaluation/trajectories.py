@@ -55,8 +55,7 @@ class PoseErrors:
 
 
 def _statistics(values: FloatArray) -> dict[str, float]:
-    if values.size == 0:
-        return dict.fromkeys(("rmse", "mean", "median", "max"), float("nan"))
+    values = values if values.size else np.array([np.nan])
     rmse = float(np.sqrt(np.mean(values**2)))
     return {"rmse": rmse, "mean": float(values.mean()), "median": float(np.median(values)), "max": float(values.max())}
 

@@ -24,8 +24,9 @@ from spplanes._check import FloatArray
 
 #: Layers of a storey: what is on them, AutoCAD's colour index.
 LAYERS = {"ROOM": 5, "WALL": 7, "FACE": 8, "OPENING": 3, "DIMENSION": 1, "TEXT": 7}
-#: Height of texts, m.
-_TEXT_M, _DIMENSION_M = 0.12, 0.08
+#: Height of texts, and sizes of dimensions, m.
+_TEXT_M = 0.12
+_DIMENSION = {"dimtxt": 0.08, "dimasz": 0.05, "dimexe": 0.02, "dimexo": 0.02, "dimgap": 0.02, "dimtad": 1}
 
 
 def write_dxf(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
@@ -49,7 +50,7 @@ def write_dxf(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
         document = new("R2010", setup=["dimstyles", "linetypes"])
         document.units = units.M
         for number, storey in enumerate(drawings(plan, verdict)):
-            _Storey(document, f"S{number}", storey).draw()
+            _draw(document, f"S{number}", storey)
         classes = document.classes
         classes.add_required_classes(document.dxfversion)
         classes.classes = dict(sorted(classes.classes.items()))  # in the order of a set, another in every process
@@ -59,45 +60,31 @@ def write_dxf(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
         options.write_fixed_meta_data_for_testing = fixed
 
 
-class _Storey:
-    """One storey going into a document."""
+def _draw(document: Any, prefix: str, drawing: Drawing) -> None:
+    """One storey into a document."""
+    space, z = document.modelspace(), drawing.elevation
+    for name, colour in LAYERS.items():
+        document.layers.add(f"{prefix}-{name}", color=colour)
+    document.layers.get(f"{prefix}-FACE").dxf.linetype = "DASHED"
 
-    def __init__(self, document: Any, prefix: str, drawing: Drawing) -> None:
-        self._space, self._prefix, self._drawing = document.modelspace(), prefix, drawing
-        self._z = drawing.elevation
-        for name, colour in LAYERS.items():
-            document.layers.add(f"{prefix}-{name}", color=colour)
-        document.layers.get(f"{prefix}-FACE").dxf.linetype = "DASHED"
+    def on(layer: str, **more: Any) -> dict[str, Any]:
+        return {"layer": f"{prefix}-{layer}", **more}
 
-    def draw(self) -> None:
-        """All of it."""
-        one = self._drawing
-        for layer, shapes in (("ROOM", one.rooms), ("WALL", one.walls), ("OPENING", [one.openings])):
-            for ring in chain.from_iterable(shapes):
-                attributes = {**self._on(layer), "elevation": self._z}
-                self._space.add_lwpolyline([tuple(xy) for xy in ring], close=True, dxfattribs=attributes)
-        for a, b in one.faces:
-            self._space.add_line((*a, self._z), (*b, self._z), dxfattribs=self._on("FACE"))
-        for dimension in one.dimensions:
-            self._dimension(dimension.start, dimension.end, dimension.offset, dimension.text)
-        for label in one.labels:
-            self._text("\\P".join(label.lines), label.place)
-        west, _, _, north = one.bounds
-        self._text(one.title, np.array([west, north + 1.0]), attachment=7)
-
-    def _on(self, layer: str) -> dict[str, Any]:
-        return {"layer": f"{self._prefix}-{layer}"}
-
-    def _text(self, text: str, place: Any, attachment: int = 5) -> None:
-        attributes = {**self._on("TEXT"), "char_height": _TEXT_M, "attachment_point": attachment}
-        self._space.add_mtext(text, dxfattribs={**attributes, "insert": (*place, self._z)})
-
-    def _dimension(self, start: Any, end: Any, offset: float, text: str) -> None:
-        override = {"dimtxt": _DIMENSION_M, "dimasz": 0.05, "dimexe": 0.02, "dimexo": 0.02, "dimgap": 0.02, "dimtad": 1}
-        look = {"dimstyle": "EZDXF", "override": override, "dxfattribs": self._on("DIMENSION")}
-        made = self._space.add_aligned_dim(tuple(start), tuple(end), offset, text=text, **look)
+    for layer, shapes in (("ROOM", drawing.rooms), ("WALL", drawing.walls), ("OPENING", [drawing.openings])):
+        for ring in chain.from_iterable(shapes):
+            space.add_lwpolyline([tuple(xy) for xy in ring], close=True, dxfattribs=on(layer, elevation=z))
+    for a, b in drawing.faces:
+        space.add_line((*a, z), (*b, z), dxfattribs=on("FACE"))
+    look = {"dimstyle": "EZDXF", "override": _DIMENSION, "dxfattribs": on("DIMENSION")}
+    for one in drawing.dimensions:
+        made = space.add_aligned_dim(tuple(one.start), tuple(one.end), one.offset, text=one.text, **look)
         made.render()
-        made.dimension.translate(0.0, 0.0, self._z)
+        made.dimension.translate(0.0, 0.0, z)
+    texts: list[tuple[str, Any, int]] = [("\\P".join(label.lines), label.place, 5) for label in drawing.labels]
+    west, _, _, north = drawing.bounds
+    for text, place, attachment in [*texts, (drawing.title, (west, north + 1.0), 7)]:
+        where = {"attachment_point": attachment, "insert": (*place, z)}
+        space.add_mtext(text, dxfattribs=on("TEXT", char_height=_TEXT_M, **where))
 
 
 #: Property set of what was measured: every value X has its XStandardDeviation beside it, in the same unit.

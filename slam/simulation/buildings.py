@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
@@ -27,52 +28,44 @@ Point = tuple[float, float, float]
 
 
 class Feature(NamedTuple):
-    """Something in or on a wall."""
+    """Something in or on a wall, between two places along it: one of `_BLOCKS` or of `_OPENINGS`."""
 
     kind: str
-    """door, chamber, room (all openings), locker, closet, board."""
     start_m: float
-    """Where it begins along the wall, m."""
     end_m: float
-    """Where it ends along the wall, m."""
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A straight wall along x or y, from the floor up, seen from one side."""
+    """A straight wall in the unit direction `along` x or y, from the floor up, seen from its `inward` side."""
 
     start: tuple[float, float]
-    """Where it begins, m."""
     along: tuple[float, float]
-    """Unit direction it runs in, along x or y."""
     inward: tuple[float, float]
-    """Unit direction to the side it is seen from."""
     length_m: float
-    """Its length, m."""
     height_m: float
-    """Its height, m."""
 
     def point(self, s: float, n: float, z: float) -> Point:
         """The point `s` along the wall, `n` in front of it and `z` above the floor."""
-        x = self.start[0] + s * self.along[0] + n * self.inward[0]
-        y = self.start[1] + s * self.along[1] + n * self.inward[1]
+        x, y = (a + s * b + n * c for a, b, c in zip(self.start, self.along, self.inward, strict=True))
         return (x, y, z)
 
     def across(self, s: float, n: float, z: float) -> Point:
         """The vector of `s` along, `n` inward and `z` up."""
-        return (s * self.along[0] + n * self.inward[0], s * self.along[1] + n * self.inward[1], z)
+        x, y = (s * a + n * b for a, b in zip(self.along, self.inward, strict=True))
+        return (x, y, z)
 
 
 def features_along(length_m: float, pattern: Sequence[tuple[str, float, float]]) -> list[Feature]:
     """Repeat a pattern of (kind, gap before it, length) along a wall, m, as far as it fits."""
     placed: list[Feature] = []
     s = 0.0
-    while True:
-        kind, gap, length = pattern[len(placed) % len(pattern)]
+    for kind, gap, length in cycle(pattern):
         if s + gap + length > length_m - 0.5:
-            return placed
+            break
         placed.append(Feature(kind, s + gap, s + gap + length))
         s += gap + length
+    return placed
 
 
 def add_wall(builder: WorldBuilder, wall: Wall, features: Sequence[Feature], floor: int) -> None:
@@ -91,9 +84,7 @@ def add_wall(builder: WorldBuilder, wall: Wall, features: Sequence[Feature], flo
             _add_passage(builder, wall, feature, floor, depth, closed=True)
 
 
-def _add_passage(
-    builder: WorldBuilder, wall: Wall, feature: Feature, floor: int, depth: float, *, closed: bool
-) -> None:
+def _add_passage(builder: WorldBuilder, wall: Wall, feature: Feature, floor: int, depth: float, closed: bool) -> None:
     """The sides, lintel and floor of an opening of some depth, and its far end if it is closed."""
     a, b = feature.start_m, feature.end_m
     middle = wall.point((a + b) / 2.0, -depth / 2.0, DOOR_HEIGHT_M / 2.0)

@@ -65,14 +65,9 @@ class Mission:
         stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
         poses = self.truth.poses_at(stamps)
         given = [p if s.world_T_body is None else s.world_T_body for s, p in zip(scans, poses, strict=True)]
-        return ScanArrays(
-            stamps_ns=stamps,
-            ranges=np.array([scan.ranges for scan in scans]),
-            angles=scans[0].angles,
-            world_T_sensor=poses @ self.rig.sensors[sensor].body_T_sensor,
-            world_T_body_given=np.array(given),
-            labels=self.truth.labels[sensor],
-        )
+        ranges, world_T_sensor = np.array([s.ranges for s in scans]), poses @ self.rig.sensors[sensor].body_T_sensor
+        labels = self.truth.labels[sensor]
+        return ScanArrays(stamps, ranges, scans[0].angles, world_T_sensor, np.array(given), labels)
 
     def save(self, folder: Path | str) -> None:
         """Write log, rig.yaml and truth/ into a folder that is new or empty; all of it or nothing.
@@ -136,14 +131,14 @@ def simulate_mission(
     if n_scans is not None and n_scans > possible:
         raise ValueError(f"n_scans: expected at most {possible} for {laps} laps, got {n_scans}")
     log, truth = record(plan, possible if n_scans is None else n_scans, seed)
-    return Mission(log, plan.rig, truth)
+    return Mission(log, robot, truth)
 
 
 def _plan(world: str, robot: Rig, step_m: float, laps: int, n_scans: int | None) -> Plan:
     """A world and the way through it: a corridor is as long as its scans, else as the paper's; others have laps."""
-    if world != "corridor":
+    if world in _LOOPS:
         build, drive = _LOOPS[world]
         return Plan(world, build(), drive(laps), robot, step_m)
-    n_scans = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step_m) + 1 if n_scans is None else n_scans
-    way_m = (n_scans - 1) * step_m
+    steps = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step_m) if n_scans is None else n_scans - 1
+    way_m = steps * step_m
     return Plan(world, corridor(way_m), DrivenPath.weaving(way_m), robot, step_m)

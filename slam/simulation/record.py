@@ -70,10 +70,8 @@ class Truth:
     def read(cls, folder: Path | str) -> Truth:
         """Read what `write` wrote; anything else is a `LogError` naming the file."""
         folder = Path(folder)
-        trajectory = read_tum(folder / _TRAJECTORY)
-        return cls(
-            trajectory.stamps_ns, trajectory.poses, read_planes(folder / _PLANES), _read_labels(folder / _LABELS)
-        )
+        path, planes = read_tum(folder / _TRAJECTORY), read_planes(folder / _PLANES)
+        return cls(path.stamps_ns, path.poses, planes, _read_labels(folder / _LABELS))
 
 
 def _read_labels(path: Path) -> dict[str, np.ndarray]:
@@ -125,12 +123,9 @@ def localised_poses(
     poses: FloatArray, way_m: FloatArray, noise: LocalisationNoise, rng: np.random.Generator
 ) -> FloatArray:
     """Poses (K, 3) as a localisation gives them: three Ornstein-Uhlenbeck errors over the ways (K,) driven."""
-    keep = np.exp(-np.diff(way_m) / noise.correlation_length_m)
-    fresh = rng.standard_normal(poses.shape)
-    errors = np.empty_like(fresh)
-    errors[0] = fresh[0]
-    for k in range(1, len(fresh)):
-        errors[k] = keep[k - 1] * errors[k - 1] + np.sqrt(1.0 - keep[k - 1] ** 2) * fresh[k]
+    errors = rng.standard_normal(poses.shape)
+    for k, keep in enumerate(np.exp(-np.diff(way_m) / noise.correlation_length_m), start=1):
+        errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * errors[k]
     return poses + errors * np.sqrt(np.diag(noise.covariance()))
 
 
@@ -153,7 +148,6 @@ class Plan:
     name: str
     """Name of the world."""
     world: World
-    """The world."""
     path: DrivenPath
     """The way through it."""
     rig: Rig
@@ -192,9 +186,8 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
         labels[sensor] = np.where(np.isnan(read), np.int32(NO_PLANE), hit)
         if beams.angles is None:
             labels[sensor] = labels[sensor].reshape(len(at), *beams.directions.shape[:2])
-        poses_of_scans = [None] * len(at) if given is None else list(given[at])
-        for k, (tick, pose) in enumerate(zip(at.tolist(), poses_of_scans, strict=True)):
-            events.append(beams.scan(int(stamps[tick]), sensor, read[k], pose))
+        for tick, row in zip(at.tolist(), read, strict=True):
+            events.append(beams.scan(int(stamps[tick]), sensor, row, None if given is None else given[tick]))
     truth = Truth(stamps, world_T_body, plan.world.planes, labels)
     return Log(in_order(events), Path(f"simulated {plan.name}")), truth
 

@@ -93,11 +93,7 @@ def spinning_rig() -> Rig:
 
 
 def checked_rig(rig: Rig) -> Rig:
-    """The rig, if its sensors are among those that can be simulated.
-
-    Raises:
-        ValueError: another sensor, or bearing noise or a sweep of a 3D sensor.
-    """
+    """The rig; ValueError: a sensor that cannot be simulated, or bearing noise or a sweep of a 3D one."""
     for name, sensor in rig.sensors.items():
         if name not in BEAMS:
             raise ValueError(f"rig: expected sensors among {', '.join(BEAMS)}, got {name!r}")
@@ -114,12 +110,10 @@ _SWING_M, _WAVE_M = 0.06, 7.0
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A curve on the floor with its heading."""
+    """A curve on the floor: way driven up to each point (K,), m, from 0; x, y, heading there (K, 3), not wrapped."""
 
     way_m: FloatArray
-    """Way driven up to each point, shape (K,), m, ascending from 0."""
     poses: FloatArray
-    """x, y, heading at each point, shape (K, 3), m, m, rad; the heading is continuous, not wrapped."""
 
     @property
     def length_m(self) -> float:

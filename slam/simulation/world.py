@@ -34,13 +34,7 @@ class World:
     """One end of the axis of each bar, from that end to the other, and its radius, shape (C, 7), m."""
 
     def cast(self, origins: FloatArray, rays: FloatArray, scan_normals: FloatArray) -> tuple[FloatArray, np.ndarray]:
-        """Exact ranges (S, B), infinity for nothing, and plane labels (S, B) int32, -1 for no plane.
-
-        Args:
-            origins: shape (S, 3), m.
-            rays: unit directions in the world, shape (S, B, 3).
-            scan_normals: normal of each scan's plane, shape (S, 3); zero where the rays do not lie in one.
-        """
+        """Exact ranges (S, B), infinity for nothing, and plane labels (S, B) int32, -1 for none; see `cast_scans`."""
         ranges, hits = cast_scans(origins, np.ascontiguousarray(rays), scan_normals, self.rectangles, self.bars)
         bars, nothing = np.full(len(self.bars), NO_PLANE), [NO_PLANE]  # hit -1, nothing, is the last entry
         return ranges, np.concatenate([self.plane_of_rectangle, bars, nothing])[hits].astype(np.int32)
@@ -251,12 +245,10 @@ def cast_scans(origins, rays, scan_normals, rectangles, bars):
     n_scans, n_beams = rays.shape[0], rays.shape[1]
     ranges, hits = np.empty((n_scans, n_beams)), np.empty((n_scans, n_beams), dtype=np.int32)
     for s in range(n_scans):
-        for b in range(n_beams):
-            ranges[s, b], hits[s, b] = np.inf, NOTHING
+        ranges[s], hits[s] = np.inf, NOTHING
         for r in range(len(rectangles)):
-            if not _crosses(rectangles[r], origins[s], scan_normals[s]):
-                continue
-            _nearer_rectangle(rectangles[r], origins[s], rays[s], r, ranges[s], hits[s])
+            if _crosses(rectangles[r], origins[s], scan_normals[s]):
+                _nearer_rectangle(rectangles[r], origins[s], rays[s], r, ranges[s], hits[s])
         for c in range(len(bars)):
             for b in range(n_beams):
                 t = _hit_bar(bars[c], origins[s], rays[s, b])

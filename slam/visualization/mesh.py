@@ -107,12 +107,8 @@ def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], list[bytes]]:
         meshes.append({"name": f"plane {plane.id}", "primitives": [_primitive(plane, mesh_of([plane]), buffers)]})
         node = {"name": f"plane {plane.id}", "mesh": index, "translation": plane.plane.centre.tolist()}
         nodes.append({**node, "extras": _numbers_of(plane)})
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": f"spplanes {__version__}"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": nodes,
-    }
+    asset = {"version": "2.0", "generator": f"spplanes {__version__}"}
+    document: dict[str, Any] = {"asset": asset, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes}
     if planes:
         nodes[0]["children"] = list(range(1, len(nodes)))
         matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
@@ -123,12 +119,13 @@ def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], list[bytes]]:
 
 def _primitive(plane: MapPlane, mesh: Mesh, buffers: _Buffers) -> dict[str, Any]:
     positions = (mesh.vertices - plane.plane.centre).astype("<f4")
+    bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
     opaque = np.full((len(positions), 1), 255, dtype=np.uint8)
     return {
         "attributes": {
-            "POSITION": buffers.add(positions, _FLOAT, "VEC3", _VERTICES, bounded=True),
+            "POSITION": buffers.add(positions, _FLOAT, "VEC3", _VERTICES, **bounds),
             "NORMAL": buffers.add(mesh.normals.astype("<f4"), _FLOAT, "VEC3", _VERTICES),
-            "COLOR_0": buffers.add(np.hstack((mesh.colours, opaque)), _UBYTE, "VEC4", _VERTICES, normalised=True),
+            "COLOR_0": buffers.add(np.hstack((mesh.colours, opaque)), _UBYTE, "VEC4", _VERTICES, normalized=True),
         },
         "indices": buffers.add(mesh.triangles.astype("<u4").ravel(), _UINT, "SCALAR", _INDICES),
         "material": 0,
@@ -152,30 +149,15 @@ class _Buffers:
         self.chunks: list[bytes] = []
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
-        self._length = 0
 
-    def add(
-        self,
-        array: np.ndarray,
-        component: int,
-        kind: str,
-        target: int,
-        *,
-        bounded: bool = False,
-        normalised: bool = False,
-    ) -> int:
+    def add(self, array: np.ndarray, component: int, kind: str, target: int, **more: Any) -> int:
         """Index of the accessor of an array."""
         data = np.ascontiguousarray(array).tobytes()
-        self.views.append({"buffer": 0, "byteOffset": self._length, "byteLength": len(data), "target": target})
-        accessor: dict[str, Any] = {"bufferView": len(self.views) - 1, "componentType": component}
-        accessor |= {"count": len(array), "type": kind}
-        if bounded:
-            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
-        if normalised:
-            accessor["normalized"] = True
-        self.accessors.append(accessor)
+        before = sum(map(len, self.chunks))
+        self.views.append({"buffer": 0, "byteOffset": before, "byteLength": len(data), "target": target})
+        accessor = {"bufferView": len(self.accessors), "componentType": component, "count": len(array), "type": kind}
+        self.accessors.append({**accessor, **more})
         self.chunks.append(data)
-        self._length += len(data)
         return len(self.accessors) - 1
 
 

@@ -21,7 +21,7 @@ from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.visualization.mesh import Mesh, chains_of, colour_of, mesh_of
 from spplanes import Plane
-from spplanes._check import FloatArray, as_covariance, as_float_array, as_positive, as_shape
+from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_positive, as_shape
 
 ColourBy = Literal["plane", "sigma"]
 
@@ -77,12 +77,7 @@ def planes_to_mesh(
 def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = False) -> Any:
     """Line set of all rings of the outlines, and of the segments where only lines were seen, coloured by plane.
 
-    Args:
-        planes: as in `planes_to_mesh`.
-        tensor: ``open3d.t.geometry.LineSet`` in place of ``open3d.geometry.LineSet``.
-
-    Raises:
-        ImportError: Open3D is not there.
+    Planes and errors are as of `planes_to_mesh`; ``tensor``: ``open3d.t.geometry.LineSet``.
     """
     drawn = [(plane, chain) for plane in _as_map_planes(planes) for chain in chains_of(plane)]
     counts = np.array([len(chain) - 1 for _, chain in drawn], dtype=np.int64)
@@ -136,13 +131,12 @@ def ellipsoids_to_lines(
             scale that is not positive.
     """
     points = as_shape("centres", centres, (None, 3))
-    matrices = as_shape("covariances", covariances, (len(points), 3, 3))
+    matrices = as_covariance_stack("covariances", covariances, 3, len(points))
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
     reach = as_positive("scale", scale) * np.sqrt(2.0 * gammaincinv(0.5 * 3, confidence))
     chains = []
-    for centre, matrix in zip(points, matrices, strict=True):
-        values, vectors = np.linalg.eigh(as_covariance("covariances", matrix, 3))
+    for centre, values, vectors in zip(points, *np.linalg.eigh(matrices), strict=True):
         axes = reach * np.sqrt(np.maximum(values, 0.0)) * vectors
         chains += list(_unit_circles() @ axes.T + centre)
     ids = np.repeat(np.arange(len(points), dtype=np.int32), 3 * _ELLIPSE_CORNERS)
@@ -162,8 +156,7 @@ def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tenso
     """Point cloud of the points that are returns, coloured by plane; grey where there is none.
 
     Args:
-        points: shape (..., 3), m, or what has such points, as a `slam.io.clouds.Cloud`; one that is not finite is left
-            out.
+        points: shape (..., 3), m, or what has such points, as a `slam.io.clouds.Cloud`; those not finite are left out.
         labels: plane of each point as `spplanes.segment_scans` gives it, shape (...,), integers, negative = none.
         tensor: ``open3d.t.geometry.PointCloud`` with the attribute "plane" in place of the legacy one.
 
@@ -176,10 +169,8 @@ def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tenso
     if array.ndim < 1 or array.shape[-1] != 3:
         raise ValueError(f"points: expected shape (..., 3), got {array.shape}")
     numbers = np.full(array.shape[:-1], -1) if labels is None else np.asarray(labels)
-    if numbers.shape != array.shape[:-1] or numbers.dtype.kind not in "iu":
-        raise ValueError(
-            f"labels: expected integers of shape {array.shape[:-1]}, got {numbers.dtype} of {numbers.shape}"
-        )
+    if numbers.shape != (shape := array.shape[:-1]) or numbers.dtype.kind not in "iu":
+        raise ValueError(f"labels: expected integers of shape {shape}, got {numbers.dtype} of {numbers.shape}")
     seen = np.isfinite(array).all(axis=-1)
     kept, plane = array[seen], numbers[seen].astype(np.int32)
     result = o3d.t.geometry.PointCloud(_tensor(kept))
@@ -220,16 +211,13 @@ def _sigma_colours(sigmas: FloatArray, limit_m: float | None) -> FloatArray:
 
 def _as_map_planes(planes: Any) -> list[MapPlane]:
     """The planes of a map as they are; fitted ones with what is known of them."""
-    result, empty = [], 0
-    planes = _planes_in(planes)
+    result, planes = [], _planes_in(planes)
     for index, plane in enumerate(planes):
         if isinstance(plane, MapPlane):
             result.append(plane)
         elif plane.outline is not None or plane.n_points >= _FEWEST_POINTS:
             result.append(MapPlane(index, plane, plane.outline or _rectangle_of(plane), 1, ("plane",)))
-        else:
-            empty += 1
-    if empty:
+    if empty := len(planes) - len(result):
         warnings.warn(
             f"planes: {empty} of {len(planes)} have neither an outline nor points, and are not drawn; "
             "fit_plane(..., outline=True) and world_plane(..., shape_of=...) give outlines",
@@ -242,10 +230,8 @@ def _positions_of(trajectory: Any) -> FloatArray:
     """Positions (N, 3) of poses, or of positions."""
     poses = trajectory.poses if isinstance(trajectory, Trajectory) else trajectory
     if not hasattr(poses, "__len__"):
-        raise ValueError(
-            "trajectory: expected a Trajectory, poses (N, 4, 4), positions (N, 3) or Pose3s, got "
-            f"{type(poses).__name__}"
-        )
+        wanted = "a Trajectory, poses (N, 4, 4), positions (N, 3) or Pose3s"
+        raise ValueError(f"trajectory: expected {wanted}, got {type(poses).__name__}")
     if not len(poses):
         return np.empty((0, 3))
     if np.ndim(poses) == 2 and np.shape(poses)[1] == 3:
@@ -263,10 +249,8 @@ def _planes_in(given: Any) -> list[MapPlane | Plane]:
         if wrong is None:
             return found
         given = wrong
-    raise ValueError(
-        "planes: expected a Plane or MapPlane, several of them, or what has planes such as a Run, got "
-        f"{type(given).__name__}"
-    )
+    wanted = "a Plane or MapPlane, several of them, or what has planes such as a Run"
+    raise ValueError(f"planes: expected {wanted}, got {type(given).__name__}")
 
 
 def _rectangle_of(plane: Plane) -> Polygon:

@@ -199,22 +199,15 @@ def _rounded(points: FloatArray) -> list[list[float]]:
 
 
 def _bounds(planes: Sequence[dict[str, Any]], path: list[list[float]]) -> list[list[float]]:
-    points = [*path]
-    for plane in planes:
-        points += [point for ring in (*chain.from_iterable(plane["faces"]), *plane["segments"]) for point in ring]
-    if not points:
-        return [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
-    array = np.array(points)
-    return [array.min(axis=0).tolist(), array.max(axis=0).tolist()]
+    rings = chain.from_iterable((*chain.from_iterable(one["faces"]), *one["segments"]) for one in planes)
+    points = np.array([*path, *chain.from_iterable(rings)] or [[-1.0] * 3, [1.0] * 3])
+    return [points.min(axis=0).tolist(), points.max(axis=0).tolist()]
 
 
 def view_run(run: Path | str, out: Path | str | None = None, *, recording: Path | None = None) -> list[Path]:
     """Draw plan.png, side.png, uncertainty.png and report.html of a run; returns what was written.
 
-    Args:
-        run: its folder.
-        out: folder for the pictures; None: the run's own, whose older pictures are replaced.
-        recording: file for a recording for the Rerun viewer, .rrd; None: none is made.
+    Without `out` they go into the run's folder and replace older ones; `recording` is a file for the Rerun viewer, .rrd.
 
     Raises:
         ImportError: a recording without the Rerun SDK.

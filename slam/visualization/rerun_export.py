@@ -52,12 +52,8 @@ def _log_plane(rr: Any, recording: Any, plane: MapPlane) -> None:
     entity, colour = f"map/plane_{plane.id}", colour_of(plane)
     mesh = mesh_of([plane])
     if len(mesh.triangles):
-        shape = rr.Mesh3D(
-            vertex_positions=mesh.vertices,
-            triangle_indices=mesh.triangles,
-            vertex_normals=mesh.normals,
-            vertex_colors=mesh.colours,
-        )
+        looks = {"vertex_normals": mesh.normals, "vertex_colors": mesh.colours}
+        shape = rr.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.triangles, **looks)
         recording.log(entity, shape, static=True)
     if chains := chains_of(plane):
         recording.log(f"{entity}/outline", rr.LineStrips3D(chains, colors=[colour] * len(chains)), static=True)
@@ -106,7 +102,6 @@ def _rerun() -> Any:
     try:
         import rerun
     except (ImportError, OSError) as error:
-        raise ImportError(
-            f"rerun cannot be imported; install it with `pip install spplanes[rerun]`: {error}"
-        ) from error
+        hint = "install it with `pip install spplanes[rerun]`"
+        raise ImportError(f"rerun cannot be imported; {hint}: {error}") from error
     return rerun
