@@ -37,15 +37,10 @@ class Measured:
     """A suite, and what a robot with a spinning laser measured in it."""
 
     suite: Suite
-    """The truth."""
     rig: Rig
-    """The robot; its odometry drifts."""
     keyframes: list[Keyframe]
-    """What it saw."""
     truth: Truth
-    """Where it was."""
     seed: int
-    """Of everything drawn."""
 
     @classmethod
     def of(cls, seed: int, *, range_sigma_m: float = 0.005, spacing_m: float = 0.6, rooms_a_side: int = 2) -> Measured:
@@ -97,11 +92,7 @@ def plan_of(slam: PlaneSlam) -> FloorPlan:
 
 
 def pairs_of(suite: Suite, plan: FloorPlan) -> dict[str, Pairs]:
-    """Everything measured beside its truth, by kind; rooms are told by where their middle is.
-
-    Raises:
-        ValueError: not one storey, or a room that is none of the suite's.
-    """
+    """Everything measured beside its truth, by kind; rooms are told by where their middle is."""
     (storey,) = plan.storeys
     found: dict[str, Pairs] = {kind: [] for kind in KINDS}
     for room in storey.rooms:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from slam.floorplan.quantities import Gradient, Quantity, Section, area, corner, distance, length
+from slam.floorplan.quantities import Corner, Gradient, Quantity, Section, area, corner, distance, length
 from tests.statistics import assert_jacobian
 
 #: Floor, then five walls of a room that is no rectangle, none of them exactly upright.
@@ -19,21 +20,20 @@ HESSE = np.array(
     ]
 )
 HESSE /= np.linalg.norm(HESSE[:, :3], axis=1, keepdims=True)
-RING = (1, 2, 3, 4, 5)
 
 
-def section(hesse: np.ndarray) -> Section:
-    return Section(hesse[0, :3], float(hesse[0, 3]) + 1.2, 0)
+def corners(hesse: np.ndarray) -> tuple[list[Corner], Section]:
+    cut = Section(hesse[0, :3], float(hesse[0, 3]) + 1.2, 0)
+    return [corner(hesse, a, b, cut) for a, b in ((5, 1), (1, 2), (2, 3), (3, 4), (4, 5))], cut
 
 
 def room(hesse: np.ndarray) -> tuple[float, Gradient]:
-    ends = [corner(hesse, RING[k - 1], RING[k], section(hesse)) for k in range(len(RING))]
-    return area([ends], section(hesse))
+    ends, cut = corners(hesse)
+    return area([ends], cut)
 
 
 def side(hesse: np.ndarray) -> tuple[float, Gradient]:
-    cut = section(hesse)
-    return length(corner(hesse, 1, 2, cut), corner(hesse, 2, 3, cut))
+    return length(*corners(hesse)[0][1:3])
 
 
 def width(hesse: np.ndarray) -> tuple[float, Gradient]:
@@ -50,18 +50,14 @@ def row(gradient: Gradient) -> np.ndarray:
 @pytest.mark.parametrize("measure", [room, side, width])
 def test_derivatives_by_central_differences(measure):
     """Along everything that keeps normals unit: a normal turned, a distance changed."""
-    tangents = []
-    for plane in range(len(HESSE)):
-        basis = np.linalg.svd(HESSE[plane : plane + 1, :3])[2][1:]
-        tangents += [np.concatenate((np.zeros(4 * plane), [*b, 0.0], np.zeros(4 * (5 - plane)))) for b in basis]
-        tangents.append(np.eye(24)[4 * plane + 3])
+    tangents = block_diag(*(np.linalg.svd([[*normal, 0.0]])[2][1:] for normal in HESSE[:, :3]))
 
     def moved(steps: np.ndarray) -> np.ndarray:
-        hesse = HESSE + (np.array(tangents).T @ steps).reshape(-1, 4)
+        hesse = HESSE + (tangents.T @ steps).reshape(-1, 4)
         hesse[:, :3] /= np.linalg.norm(hesse[:, :3], axis=1, keepdims=True)
         return np.array([measure(hesse)[0]])
 
-    jacobian = (row(measure(HESSE)[1]) @ np.array(tangents).T)[None]
+    jacobian = (row(measure(HESSE)[1]) @ tangents.T)[None]
     assert_jacobian(moved, np.zeros(len(tangents)), jacobian, atol=1e-8, rtol=1e-6)
     assert np.abs(jacobian).max() > 0.1
 

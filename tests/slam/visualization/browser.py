@@ -1,6 +1,5 @@
 """A headless Chromium, driven over W3C WebDriver with the standard library alone; tests without one are skipped."""
 
-import base64
 import json
 import re
 import shutil
@@ -61,10 +60,6 @@ class Browser:
         """Press, move, release."""
         moves = [{"type": "pointerMove", "x": round(x), "y": round(y), "duration": 30} for x, y in (start, end)]
         self._mouse([moves[0], {"type": "pointerDown", "button": 0}, moves[1], {"type": "pointerUp", "button": 0}])
-
-    def screenshot(self) -> bytes:
-        """PNG of the window."""
-        return base64.b64decode(self._send("GET", "/screenshot"))
 
     def close(self) -> None:
         """End the browser, then its driver."""

@@ -55,10 +55,9 @@ def test_mesh_has_the_area_of_the_outlines_less_their_holes_lies_on_its_plane_an
     assert planes_to_mesh(two_planes()).get_surface_area() == pytest.approx((8.0 - 1.0) + (1.0 + 2.0), rel=1e-12)
     plane, mesh = wall().plane, planes_to_mesh([wall()])
     assert np.abs(plane.distance(np.asarray(mesh.vertices))).max() < 1e-12
-    np.testing.assert_allclose(np.asarray(mesh.vertex_normals), np.tile(plane.normal, (len(mesh.vertices), 1)))
     mesh.compute_triangle_normals()
-    normals = np.tile(plane.normal, (len(mesh.triangles), 1))
-    np.testing.assert_allclose(np.asarray(mesh.triangle_normals), normals, atol=1e-12)
+    for normals in (mesh.vertex_normals, mesh.triangle_normals):
+        np.testing.assert_allclose(normals, np.tile(plane.normal, (len(normals), 1)), atol=1e-12)
 
 
 def test_colour_by_deviation_grows_from_dark_to_bright():
