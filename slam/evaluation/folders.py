@@ -63,7 +63,7 @@ def compare_with_truth(
         run: the folder of a run.
         truth: a simulated mission's folder or its truth/ folder (trajectory and planes), a TUM file (trajectory), or a
             file of relations, whose name holds "relations".
-        truth_of, by_row: of a TUM file, as `slam.evaluation.folders.read_reference` takes them.
+        truth_of, by_row: of a TUM file, as `read_reference` takes them.
 
     Raises:
         LogError: a file that is missing or is not what it should be; a run that is not finished.

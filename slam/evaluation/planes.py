@@ -94,12 +94,9 @@ def outline_in(plane: Plane, other: Plane) -> BaseGeometry:
 def plane_metrics(
     estimated: Sequence[Plane], true: Sequence[Plane], *, visible: Collection[int] | None = None
 ) -> list[Metric]:
-    """Errors of matched planes, and shares of duplicates, of missed and of invented ones.
+    """Errors of matched planes, in one frame, and shares of duplicates, of missed and of invented ones.
 
-    Args:
-        estimated: planes of a map, in the frame of the truth.
-        true: the true planes.
-        visible: indices of the true planes that the sensors saw enough of to be found; None: all.
+    `visible` are indices of the true planes that the sensors saw enough of to be found; None: all.
     """
     matches = match_planes(estimated, true)
     wanted = set(range(len(true))) if visible is None else set(visible)

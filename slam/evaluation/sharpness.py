@@ -57,11 +57,7 @@ def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference
 
     Args:
         clouds: points of each scan in the body's frame, shape (N, 3) or (S, B, 3), m; NaN = no return.
-        poses: world_T_body of each scan, shape (K, 4, 4).
-        reference: the same by somebody else, in a world of its own, shape (K, 4, 4).
-
-    Raises:
-        ValueError: not as many poses as clouds.
+        poses, reference: world_T_body of each scan, in two worlds, shape (K, 4, 4); ValueError: not one a cloud.
     """
     if not len(clouds) == len(poses) == len(reference):
         raise ValueError(f"poses: expected {len(clouds)}, one a cloud, got {len(poses)} and {len(reference)}")
@@ -133,10 +129,7 @@ _ENOUGH = 600_000
 def sharpness_of_run(run: Path, reference: Trajectory, log: Path) -> list[Metric]:
     """Median distance of points from the planes that scans share, by trajectory.tum of a run and by a reference.
 
-    Args:
-        run: the folder of a run; its session tells the rig.
-        reference: world_T_body by somebody else, at times of the run.
-        log: what the run was made from; its 3D scans are read again.
+    The 3D scans of the log that the run was made from are read again, with the rig of its session.
 
     Raises:
         LogError: a log without 3D scans at the times of the poses, or one that cannot be read.

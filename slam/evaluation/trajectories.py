@@ -75,11 +75,7 @@ def nearest_stamps(wanted_ns: np.ndarray, stamps_ns: np.ndarray, tolerance_ns: i
 
 
 def common_poses(estimate: Trajectory, truth: Trajectory) -> tuple[np.ndarray, FloatArray, FloatArray]:
-    """Times (N,) and poses (N, 4, 4) of the estimate and of the truth where both have one within 1 ms.
-
-    Raises:
-        ValueError: they have no time in common.
-    """
+    """Times (N,) and poses (N, 4, 4) of both where they have one within 1 ms; ValueError: no time in common."""
     places = nearest_stamps(estimate.stamps_ns, truth.stamps_ns, _NEAR_NS)
     found = places >= 0
     if not found.any():
@@ -168,11 +164,7 @@ def truth_T_estimate(estimate: Trajectory, truth: Trajectory) -> FloatArray:
 
 
 def absolute_error(estimate: Trajectory, truth: Trajectory, *, alignment: Alignment = "se3") -> PoseErrors:
-    """Absolute trajectory error: truth^-1 aligned estimate, at every time both have.
-
-    Raises:
-        ValueError: no time in common, or an unknown alignment.
-    """
+    """Absolute trajectory error: truth^-1 aligned estimate, at every time both have; ValueError: none in common."""
     _, estimated, true = common_poses(estimate, truth)
     moved = alignment_of(estimated, true, alignment) @ estimated
     return pose_errors(np.linalg.inv(true) @ moved)
@@ -181,14 +173,10 @@ def absolute_error(estimate: Trajectory, truth: Trajectory, *, alignment: Alignm
 def relative_error(estimate: Trajectory, truth: Trajectory, *, way_m: float = 1.0) -> PoseErrors:
     """Relative pose error: motion of the estimate against motion of the truth over every way of `way_m` (truth's).
 
-    Each pose is paired with the first one at least `way_m` further on; no alignment is needed.
-
-    Raises:
-        ValueError: no time in common.
+    Each pose is paired with the first one at least `way_m` further on. ValueError: no time in common.
     """
     _, estimated, true = common_poses(estimate, truth)
-    steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
-    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))])
     later = np.searchsorted(ways, ways + way_m)
     first = np.flatnonzero(later < len(ways))
     last = later[first]
@@ -231,11 +219,7 @@ FOUND, STATED = "relations found", "relations in the file"
 
 
 def relation_errors(estimate: Trajectory, relations: Relations) -> PoseErrors:
-    """Error of the estimate's relative poses for those relations whose two times it has.
-
-    References:
-        Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27(4), 2009.
-    """
+    """Error of the estimate's relative poses for those relations whose two times it has (Kuemmerle et al.)."""
     first, last = (nearest_stamps(column, estimate.stamps_ns, _NEAR_NS - 1) for column in relations.stamps_ns.T)
     found = (first >= 0) & (last >= 0)
     moved = np.linalg.inv(estimate.poses[first[found]]) @ estimate.poses[last[found]]
@@ -243,11 +227,7 @@ def relation_errors(estimate: Trajectory, relations: Relations) -> PoseErrors:
 
 
 def relation_metrics(estimate: Trajectory, relations: Relations) -> list[Metric]:
-    """How many relations were found, and the errors; the mean is the figure published for this benchmark.
-
-    Raises:
-        ValueError: none of the relations' times is in the trajectory.
-    """
+    """How many relations were found (ValueError: none), and the errors; the mean is the figure that is published."""
     errors = relation_errors(estimate, relations)
     if errors.translation_m.size == 0:
         raise ValueError("relations: expected times of the trajectory, got none that agree to 1 ms")

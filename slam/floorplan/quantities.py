@@ -68,12 +68,7 @@ def corner(hesse: FloatArray, first: int, second: int, section: Section) -> Corn
     """Where two planes meet a section.
 
     With the three normals as rows of M and M x = d: d x = M^-1 (d d - [x.d n]), so a plane's column of M^-1 times
-    (-x, 1) is the derivative by its (normal, d).
-
-    Args:
-        hesse: rows (normal, d) of all planes, shape (P, 4).
-        first, second: indices of two planes that are not parallel.
-        section: the third plane.
+    (-x, 1) is the derivative by its (normal, d). The two are indices into the rows (normal, d) of all planes, (P, 4).
     """
     matrix = np.vstack((hesse[[first, second], :3], section.normal))
     inverse = np.linalg.inv(matrix)
@@ -113,13 +108,8 @@ def distance(
 ) -> tuple[float, Gradient]:
     """How far it is from one plane to another through a place, along a fixed direction, and its derivatives.
 
-    Of two planes that are nearly parallel it depends on place and direction in second order only.
-
-    Args:
-        hesse: rows (normal, d) of all planes, shape (P, 4).
-        first, second: indices of the planes.
-        place: shape (3,), m.
-        direction: unit vector from the first to the second, shape (3,).
+    Of two planes that are nearly parallel it depends on place (3,), m, and direction, a unit vector (3,) from the first
+    to the second, in second order only. The planes are indices into the rows (normal, d) of all, shape (P, 4).
     """
     ends, gradient = [], {}
     for plane, sign in ((first, -1.0), (second, 1.0)):
@@ -167,12 +157,7 @@ class JointPlanes:
 
 
 def joint_planes(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Backend) -> JointPlanes:
-    """The planes of a map in the world, with the joint marginal of their landmarks and anchor poses.
-
-    Args:
-        planes: of the map, as `PlaneSlam.planes` gives them.
-        landmarks, backend: the state they were read from.
-    """
+    """The planes of a map, as `PlaneSlam.planes` has them, with the joint marginal of landmarks and anchor poses."""
     known = [hesse_of(landmarks[plane.id], backend) for plane in planes]
     keys = list(dict.fromkeys(key for _, _, _, by in known for key in by))
     if not keys:

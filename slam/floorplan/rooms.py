@@ -55,16 +55,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Edge:
-    """A side of a cell."""
+    """A side of a cell, which is on its left, and its line; -1 for the frame round all."""
 
     start: Node
-    """From where."""
     end: Node
-    """To where."""
     cell: int
-    """The cell on its left."""
     line: int
-    """Its line; -1 for the frame round all."""
 
 
 def wall_lines(walls: Sequence[Face]) -> list[Line]:
@@ -152,11 +148,8 @@ def _joined(
     edges: Sequence[Edge], numbers: Mapping[tuple[Node, Node], int], n_cells: int, storey: Storey, lines: Sequence[Line]
 ) -> np.ndarray:
     """The room that each cell belongs to, shape (n_cells,), with the numbers of the edges by their ends."""
-    pairs = [
-        (edge.cell, edges[numbers[edge.end, edge.start]].cell)
-        for edge in edges
-        if (edge.end, edge.start) in numbers and not _is_wall(edge, storey, lines)
-    ]
+    beside = [(edge, numbers.get((edge.end, edge.start))) for edge in edges if not _is_wall(edge, storey, lines)]
+    pairs = [(edge.cell, edges[other].cell) for edge, other in beside if other is not None]
     rows, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n_cells, n_cells))
     return connected_components(graph, directed=False)[1]
@@ -174,11 +167,8 @@ def _is_room(rings: Sequence[list[Edge]], inside: BaseGeometry, storey: Storey, 
     border = [edge for ring in rings for edge in ring]
     if any(edge.line < 0 for edge in border) or inside.buffer(-THICKEST_M / 2.0).is_empty:
         return False
-    for edge in border:
-        way = np.array(edge.end) - np.array(edge.start)
-        if way @ storey.in_plan(lines[edge.line].base.along) < -SHORT_M:
-            return False
-    return True
+    ways = (np.subtract(edge.end, edge.start) @ storey.in_plan(lines[edge.line].base.along) for edge in border)
+    return all(way >= -SHORT_M for way in ways)
 
 
 def _rings(

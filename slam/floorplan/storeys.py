@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -83,21 +84,13 @@ def storeys(joint: JointPlanes) -> list[Storey]:
     floors = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines > np.cos(ALIKE_RAD))]
     ceilings = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines < -np.cos(ALIKE_RAD))]
     grounds = _grounds(floors)
-    found = []
-    for number, ground in enumerate(grounds):
-        low = ground.height if number else -np.inf
-        high = grounds[number + 1].height if number + 1 < len(grounds) else np.inf
-        found.append(_storey(joint, up, plan, ground, (low, high), floors, ceilings))
-    return found or [_storey(joint, up, plan, None, (-np.inf, np.inf), floors, ceilings)]
+    between = pairwise([-np.inf, *(ground.height for ground in grounds[1:]), np.inf])
+    pairs = zip(grounds or [None], between, strict=True)
+    return [_storey(joint, up, plan, ground, heights, floors, ceilings) for ground, heights in pairs]
 
 
 def upward(normals: FloatArray, planes: Sequence[MapPlane]) -> FloatArray | None:
-    """Normal (3,) of the largest floor, of which the world's z tells that it is one; None without a floor.
-
-    Args:
-        normals: of the planes, shape (P, 3).
-        planes: what was seen of each.
-    """
+    """Of planes with normals (P, 3) the largest floor's, (3,), which the world's z tells to be one; None: no floor."""
     floors = [k for k in range(len(planes)) if normals[k, 2] > _ABOUT_LEVEL]
     return normals[max(floors, key=lambda k: planes[k].seen.area)] if floors else None
 

@@ -41,13 +41,7 @@ class Wall:
 
 
 def wall_solids(joint: JointPlanes, section: Section, extents: Sequence[tuple[Face, list[Interval]]]) -> list[Wall]:
-    """Faces of a storey paired to walls, each stretch with the nearest face behind it.
-
-    Args:
-        joint: all planes.
-        section: of the storey.
-        extents: the faces, and from where to where each goes.
-    """
+    """Faces of a storey, and from where to where each goes, paired to walls: a stretch with the nearest behind it."""
     found: list[Wall] = []
     for number, (front, spans) in enumerate(extents):
         left = spans
@@ -62,19 +56,13 @@ def wall_solids(joint: JointPlanes, section: Section, extents: Sequence[tuple[Fa
 
 def _behind(joint: JointPlanes, section: Section, front: Face, faces: Sequence[Face]) -> list[int]:
     """Which faces may be the other side of the wall behind one, the nearest first."""
-    thick = [(_thickness(joint, section, front, back), k) for k, back in enumerate(faces) if back is not front]
-    return [k for _, k in sorted((one.value, k) for one, k in thick if one is not None)]
-
-
-def _thickness(joint: JointPlanes, section: Section, front: Face, back: Face) -> Quantity | None:
-    """Distance of two faces that may be of one wall, somewhere; None if they are not."""
-    if front.normal @ back.normal > -np.cos(ALIKE_RAD):
-        return None
-    low, high = front.covered[0][0], front.covered[-1][1]
-    thickness = _at(joint, front, back, (low, high))
-    if not 0.0 < thickness.value <= THICKEST_M or not _are_parallel(joint, section, front, back):
-        return None
-    return thickness
+    found = []
+    for k, back in enumerate(faces):
+        if front.normal @ back.normal <= -np.cos(ALIKE_RAD):
+            thickness = _at(joint, front, back, (front.covered[0][0], front.covered[-1][1])).value
+            if 0.0 < thickness <= THICKEST_M and _are_parallel(joint, section, front, back):
+                found.append((thickness, k))
+    return [k for _, k in sorted(found)]
 
 
 def _at(joint: JointPlanes, front: Face, back: Face, span: Interval) -> Quantity:
@@ -144,19 +132,18 @@ class Opening:
 def find_openings(joint: JointPlanes, storey: Storey, faces: Sequence[Face], solids: Sequence[Wall]) -> list[Opening]:
     """The openings of a storey, each once."""
     found: list[Opening] = []
-    known: set[tuple[int, int]] = set()
+    known: set[frozenset[int]] = set()
     for face in faces:
         for gap in face.gaps_at(CUT_M):
             jambs = _jambs(storey, face, gap)
             if jambs is not None:
-                key = (min(jamb.plane for jamb in jambs), max(jamb.plane for jamb in jambs))
+                key = frozenset(jamb.plane for jamb in jambs)
                 if key not in known:
                     known.add(key)
                     found.append(_between(joint, storey, face, jambs, solids))
                 continue
             wall = next((solid for solid in solids if solid.front is face and _contains(solid, gap)), None)
-            both = None if wall is None else _gap_behind(wall, gap)
-            if wall is not None and both is not None:
+            if wall is not None and (both := _gap_behind(wall, gap)) is not None:
                 found.append(_made(joint, storey, face, wall, both, None, wall.thickness.value))
     return found
 
@@ -192,18 +179,9 @@ def _made(
         storey.over(outline, tuple(level for level in levels if around.covers(level.outline)))
         for levels in (storey.ceilings, storey.floors)
     )
+    top, bottom = (_height(joint, storey, level, middle) for level in (lintel, sill))
     below, above = face.gap_upright(0.5 * (span[0] + span[1]), CUT_M)
-    return Opening(
-        face,
-        wall,
-        span,
-        width,
-        _height(joint, storey, lintel, middle),
-        _height(joint, storey, sill, middle),
-        max(below or 0.0, 0.0),
-        above,
-        depth,
-    )
+    return Opening(face, wall, span, width, top, bottom, max(below or 0.0, 0.0), above, depth)
 
 
 def _height(joint: JointPlanes, storey: Storey, level: Level | None, middle: FloatArray) -> Quantity | None:

@@ -78,12 +78,7 @@ _INSIDE_M = 0.2
 
 
 def drawings(plan: FloorPlan, verdict: str | None = None) -> list[Drawing]:
-    """The drawing of every storey, from below.
-
-    Args:
-        plan: what was measured.
-        verdict: what the run says of its map; said in the title unless the map is sound.
-    """
+    """The drawing of every storey, from below; titles have the run's verdict on its map unless that is sound."""
     return [_drawing(number, storey, verdict) for number, storey in enumerate(plan.storeys)]
 
 

@@ -207,7 +207,7 @@ def _bounds(planes: Sequence[dict[str, Any]], path: list[list[float]]) -> list[l
 def view_run(run: Path | str, out: Path | str | None = None, *, recording: Path | None = None) -> list[Path]:
     """Draw plan.png, side.png, uncertainty.png and report.html of a run; returns what was written.
 
-    Without `out` they go into the run's folder and replace older ones; `recording` is a file for the Rerun viewer, .rrd.
+    Without `out` they go into the run's folder and replace older ones; `recording` is a .rrd file for the Rerun viewer.
 
     Raises:
         ImportError: a recording without the Rerun SDK.
