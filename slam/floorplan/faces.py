@@ -31,7 +31,6 @@ class Face:
     """A vertical plane in a storey, seen from the side of its normal."""
 
     plane: int
-    """Index of the plane."""
     origin: FloatArray
     """The point of its line at s = 0, in the section, shape (3,), m."""
     along: FloatArray

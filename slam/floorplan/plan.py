@@ -39,7 +39,6 @@ class Width:
     second: FloatArray
     """Where on the other, shape (3,), m."""
     distance: Quantity
-    """How far that is, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,6 @@ class StoreyPlan:
     """The plan of a storey."""
 
     storey: Storey
-    """Where it is, and what was seen there."""
     elevation: Quantity | None
     """Height of its floor above the lowest storey's, m; None without a floor."""
     rooms: tuple[Room, ...]
@@ -83,7 +81,6 @@ class StoreyPlan:
     single: tuple[tuple[Face, Interval], ...]
     """Stretches of faces whose other side was not seen: how thick the wall is there is not known."""
     openings: tuple[Opening, ...]
-    """Doorways, passages, windows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +88,6 @@ class FloorPlan:
     """A building."""
 
     joint: JointPlanes
-    """The planes that it was computed from."""
     storeys: tuple[StoreyPlan, ...]
     """From below."""
 

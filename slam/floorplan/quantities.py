@@ -27,11 +27,9 @@ class Quantity:
     """A measured number: a length in m, or an area in m^2."""
 
     value: float
-    """The estimate."""
     sigma: float
     """Its standard deviation."""
     gradient: Gradient
-    """By what of which planes."""
 
     def __str__(self) -> str:
         """As 2.388 +- 0.004: the standard deviation with one digit, or two where the first is a 1, at most to 1 um."""

@@ -28,7 +28,6 @@ class Level:
     """A level plane."""
 
     plane: int
-    """Index of the plane."""
     height: float
     """Along the upward normal, m."""
     outline: BaseGeometry

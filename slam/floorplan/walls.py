@@ -26,7 +26,6 @@ class Wall:
     front: Face
     """The face it is described along."""
     back: Face
-    """The face that looks the other way."""
     span: Interval
     """From where to where along the front, m."""
     thickness: Quantity

@@ -24,9 +24,9 @@ class Dimension:
     kind: str
     """width, side, thickness or opening."""
     start: FloatArray
-    """One end, shape (2,), m."""
+    """Shape (2,), m."""
     end: FloatArray
-    """The other, shape (2,), m."""
+    """Shape (2,), m."""
     text: str
     """Value and standard deviation, m."""
     offset: float = 0.0
@@ -40,7 +40,6 @@ class Label:
     place: FloatArray
     """Their middle, shape (2,), m."""
     lines: tuple[str, ...]
-    """From above."""
 
 
 @dataclass(eq=False)
@@ -48,11 +47,9 @@ class Drawing:
     """The drawing of one storey, in its plan's coordinates."""
 
     name: str
-    """storey 0 is the lowest."""
     elevation: float
     """Of its floor above the lowest one, m."""
     title: str
-    """What is to be said of all of it."""
     walls: list[tuple[FloatArray, ...]] = field(default_factory=list)
     """Rings of corners (N, 2) of each solid, less the openings in it."""
     faces: list[FloatArray] = field(default_factory=list)
@@ -62,9 +59,7 @@ class Drawing:
     rooms: list[tuple[FloatArray, ...]] = field(default_factory=list)
     """Rings of corners (N, 2) of each."""
     dimensions: list[Dimension] = field(default_factory=list)
-    """Lengths."""
     labels: list[Label] = field(default_factory=list)
-    """Areas and heights."""
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -100,7 +95,12 @@ def _drawing(number: int, plan: StoreyPlan, verdict: str | None) -> Drawing:
     drawing.dimensions += [_of_opening(one, outline) for one, outline in zip(plan.openings, outlines, strict=True)]
     for place, room in enumerate(plan.rooms):
         drawing.rooms.append(tuple(in_plan(ring) for ring in room.outline))
-        drawing.dimensions += _of_room(room, plan)
+        drawing.dimensions += [
+            Dimension("width", in_plan(w.first), in_plan(w.second), str(w.distance)) for w in room.widths
+        ]
+        for side in room.sides:
+            ends = in_plan(side.start), in_plan(side.end)
+            drawing.dimensions.append(Dimension("side", *ends, str(side.length), _INSIDE_M))
         drawing.labels.append(Label(in_plan(room.middle), room_lines(place, room)))
     for opening in plan.openings:
         said = [f"{name} {value}" for name, value in (("lintel", opening.height), ("sill", opening.sill)) if value]
@@ -139,14 +139,6 @@ def _of_opening(opening: Opening, outline: FloatArray) -> Dimension:
     text = f"about {opening.span[1] - opening.span[0]:.1f}" if opening.width is None else str(opening.width)
     ends = 0.5 * (outline[[1, 0]] + outline[[2, 3]])
     return Dimension("opening", ends[0], ends[1], text)
-
-
-def _of_room(room: Room, plan: StoreyPlan) -> list[Dimension]:
-    in_plan = plan.storey.in_plan
-    found = [Dimension("width", in_plan(w.first), in_plan(w.second), str(w.distance)) for w in room.widths]
-    for ring in room.rings:
-        found += [Dimension("side", in_plan(s.start), in_plan(s.end), str(s.length), _INSIDE_M) for s in ring]
-    return found
 
 
 #: Millimetres of the picture to a metre: a scale of 1:50.
@@ -203,14 +195,17 @@ def _storey(storey: Drawing, corner: FloatArray) -> Iterator[str]:
     for rings in storey.walls:
         yield f'<path class="wall" fill-rule="evenodd" d="{path(rings)}"/>'
     for ends in storey.faces:
-        (x0, y0), (x1, y1) = on_page(ends)
-        yield f'<line class="face" x1="{x0:.3f}" y1="{y0:.3f}" x2="{x1:.3f}" y2="{y1:.3f}"/>'
+        yield f'<line class="face" {_ends(*on_page(ends))}/>'
     for outline in storey.openings:
         yield f'<path class="opening" d="{path([outline])}"/>'
     for dimension in storey.dimensions:
         yield _dimension(dimension, on_page(dimension.start), on_page(dimension.end))
     for label in storey.labels:
         yield from _label(label, on_page(label.place))
+
+
+def _ends(start: FloatArray, end: FloatArray) -> str:
+    return f'x1="{start[0]:.3f}" y1="{start[1]:.3f}" x2="{end[0]:.3f}" y2="{end[1]:.3f}"'
 
 
 def _label(label: Label, place: FloatArray) -> Iterator[str]:
@@ -237,8 +232,7 @@ def _dimension(one: Dimension, start: FloatArray, end: FloatArray) -> str:
         place = low + max(0.22 * length, min(half, 0.5 * length)) * lower
     line = ""
     if one.kind in ("width", "thickness"):
-        (x0, y0), (x1, y1) = start + shift, end + shift
-        line = f'<line x1="{x0:.3f}" y1="{y0:.3f}" x2="{x1:.3f}" y2="{y1:.3f}" stroke="{colour}" stroke-width=".15"/>'
+        line = f'<line {_ends(start + shift, end + shift)} stroke="{colour}" stroke-width=".15"/>'
     angle = float(np.degrees(np.arctan2(along[1], along[0])))
     angle += 180.0 if angle < -90.1 else -180.0 if angle > 89.9 else 0.0  # read from below or from the right
     drop, anchor = 0.25 * size if one.kind in ("side", "opening") else -0.4 * size, "middle"

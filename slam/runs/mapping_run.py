@@ -33,7 +33,7 @@ class MapResult:
     """A finished map."""
 
     planes: list[MapPlane]
-    """The planes, in the frame of the given poses."""
+    """In the frame of the given poses."""
     trajectory: Trajectory
     """The poses that were given."""
     scan_trajectory: Trajectory
@@ -45,7 +45,6 @@ class MapResult:
     n_points_represented: int
     """Those that belong to a plane."""
     clock: StageClock
-    """Time per stage."""
 
 
 def run_map(

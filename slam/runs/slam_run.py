@@ -36,17 +36,13 @@ class Run:
     slam: PlaneSlam
     """The estimator in its final state."""
     planes: list[MapPlane]
-    """The map."""
     trajectory: Trajectory
     """world_T_body of every keyframe."""
     odometry: Trajectory
     """The same keyframes by odometry alone, from the same first pose."""
     log: Log
-    """What it was made from."""
     rig: Rig
-    """With which sensors."""
     clock: StageClock
-    """Time per stage."""
     repairs: tuple[Repair, ...] | None = None
     """What was mended when it had ended; None: that was not asked for."""
     judged: Verdict | None = None

@@ -38,9 +38,7 @@ class StoredRun:
     """The files of a run's folder."""
 
     folder: Path
-    """Where it is."""
     planes: list[MapPlane]
-    """The map."""
     trajectory: Trajectory
     """world_T_body of every keyframe, or the poses that were given."""
     odometry: Trajectory

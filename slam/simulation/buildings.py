@@ -25,6 +25,7 @@ _BLOCKS = {"locker": (0.05, 0.0, 1.9), "closet": (0.40, 0.0, 2.1), "board": (0.0
 _OPENINGS = ("door", "chamber", "room")
 
 Point = tuple[float, float, float]
+Span = tuple[float, float]
 
 
 class Feature(NamedTuple):
@@ -81,20 +82,22 @@ def add_wall(builder: WorldBuilder, wall: Wall, features: Sequence[Feature], flo
             _add_room(builder, wall, feature, floor)
         else:
             depth = _DOOR_DEPTH_M if feature.kind == "door" else _CHAMBER_DEPTH_M
-            _add_passage(builder, wall, feature, floor, depth, closed=True)
+            _add_cell(builder, wall, (feature.start_m, feature.end_m), (0.0, -depth), DOOR_HEIGHT_M, floor)
 
 
-def _add_passage(builder: WorldBuilder, wall: Wall, feature: Feature, floor: int, depth: float, closed: bool) -> None:
-    """The sides, lintel and floor of an opening of some depth, and its far end if it is closed."""
-    a, b = feature.start_m, feature.end_m
-    middle = wall.point((a + b) / 2.0, -depth / 2.0, DOOR_HEIGHT_M / 2.0)
-    up, back, along = (0.0, 0.0, DOOR_HEIGHT_M), wall.across(0.0, -depth, 0.0), wall.across(b - a, 0.0, 0.0)
+def _add_cell(
+    builder: WorldBuilder, wall: Wall, span: Span, depth: Span, height: float, floor: int, closed: bool = True
+) -> None:
+    """What is seen from inside of a space in or behind a wall: its far end if it is closed, sides, floor, ceiling."""
+    (a, b), (near, far) = span, depth
+    middle = wall.point((a + b) / 2.0, (near + far) / 2.0, height / 2.0)
+    up, along, back = (0.0, 0.0, height), wall.across(b - a, 0.0, 0.0), wall.across(0.0, far - near, 0.0)
     if closed:
-        builder.add_patch(wall.point(a, -depth, 0.0), along, up, toward=middle)
-    for s in (a, b):
-        builder.add_patch(wall.point(s, 0.0, 0.0), back, up, toward=middle)
-    builder.add_patch(wall.point(a, 0.0, 0.0), along, back, toward=middle, plane=floor)
-    builder.add_patch(wall.point(a, 0.0, DOOR_HEIGHT_M), along, back, toward=middle)
+        builder.add_patch(wall.point(a, far, 0.0), along, up, toward=middle)
+    for s in span:
+        builder.add_patch(wall.point(s, near, 0.0), back, up, toward=middle)
+    builder.add_patch(wall.point(a, near, 0.0), along, back, toward=middle, plane=floor)
+    builder.add_patch(wall.point(a, near, height), along, back, toward=middle)
 
 
 def _add_block(builder: WorldBuilder, wall: Wall, feature: Feature) -> None:
@@ -109,19 +112,15 @@ def _add_block(builder: WorldBuilder, wall: Wall, feature: Feature) -> None:
 
 def _add_room(builder: WorldBuilder, wall: Wall, feature: Feature, floor: int) -> None:
     """An open doorway and a room behind it with a cupboard and a round pillar."""
-    _add_passage(builder, wall, feature, floor, _WALL_THICKNESS_M, closed=False)
-    centre = (feature.start_m + feature.end_m) / 2.0
-    a, b = centre - _ROOM_WIDTH_M / 2.0, centre + _ROOM_WIDTH_M / 2.0
+    door = feature.start_m, feature.end_m
     near, far = -_WALL_THICKNESS_M, -_WALL_THICKNESS_M - _ROOM_DEPTH_M
-    middle = wall.point(centre, (near + far) / 2.0, _ROOM_HEIGHT_M / 2.0)
-    up, along, back = (0.0, 0.0, _ROOM_HEIGHT_M), wall.across(b - a, 0.0, 0.0), wall.across(0.0, far - near, 0.0)
-    doorway: Hole = (feature.start_m - a, 0.0, feature.end_m - a, DOOR_HEIGHT_M)
-    builder.add_patch(wall.point(a, near, 0.0), along, up, toward=middle, holes=[doorway])
-    builder.add_patch(wall.point(a, far, 0.0), along, up, toward=middle)
-    for s in (a, b):
-        builder.add_patch(wall.point(s, near, 0.0), back, up, toward=middle)
-    builder.add_patch(wall.point(a, near, 0.0), along, back, toward=middle, plane=floor)
-    builder.add_patch(wall.point(a, near, _ROOM_HEIGHT_M), along, back, toward=middle)
+    _add_cell(builder, wall, door, (0.0, near), DOOR_HEIGHT_M, floor, closed=False)
+    centre = (door[0] + door[1]) / 2.0
+    a, b = centre - _ROOM_WIDTH_M / 2.0, centre + _ROOM_WIDTH_M / 2.0
+    along, up = wall.across(b - a, 0.0, 0.0), (0.0, 0.0, _ROOM_HEIGHT_M)
+    doorway: Hole = (door[0] - a, 0.0, door[1] - a, DOOR_HEIGHT_M)
+    builder.add_patch(wall.point(a, near, 0.0), along, up, toward=wall.point(centre, far, 1.0), holes=[doorway])
+    _add_cell(builder, wall, (a, b), (near, far), _ROOM_HEIGHT_M, floor)
     back_wall = Wall(wall.point(a, far, 0.0)[:2], wall.along, wall.inward, b - a, _ROOM_HEIGHT_M)
     _add_block(builder, back_wall, Feature("closet", 0.6, 2.2))
     builder.add_bar(back_wall.point(3.2, 0.8, 0.0), back_wall.point(3.2, 0.8, _ROOM_HEIGHT_M), 0.15)

@@ -51,11 +51,9 @@ class Mission:
     """A simulated mission: what the robot recorded, what is known of the robot, and the truth."""
 
     log: Log
-    """The sensors' data."""
     rig: Rig
     """Sensors, mounts and the noise models the data were drawn from."""
     truth: Truth
-    """True poses, planes and labels."""
 
     def arrays(self, sensor: str) -> ScanArrays:
         """The scans of one 2D laser as arrays."""

@@ -116,11 +116,10 @@ class WorldBuilder:
         span = np.diag(high_corner - low_corner)
         indices = []
         for axis, name in enumerate("xyz"):
-            u, v = span[(axis + 1) % 3], span[(axis + 2) % 3]
-            for side, corner in (("-", low_corner), ("+", low_corner + span[axis])):
+            u, v = span[axis - 2], span[axis - 1]
+            for side, corner, out in (("-", low_corner, -span[axis]), ("+", low_corner + span[axis], span[axis])):
                 if name + side not in hidden:
-                    outside = corner + (span[axis] if side == "+" else -span[axis])
-                    indices.append(self.add_patch(corner, u, v, toward=outside))
+                    indices.append(self.add_patch(corner, u, v, toward=corner + out))
         return indices
 
     def add_bar(self, foot: ArrayLike, end: ArrayLike, radius: float) -> None:
