@@ -15,6 +15,7 @@ from slam.cli.clouds import fit, register
 from slam.cli.joining import fleet, join
 from slam.cli.results import evaluate, explain, export, import_, view
 from slam.cli.runs import demo, map_, simulate, slam
+from spplanes._version import __version__
 
 app = typer.Typer(
     name="spplanes",
@@ -65,18 +66,6 @@ def _fail(error: object, code: int) -> None:
     sys.exit(code)
 
 
-def _print_version(with_formats: bool) -> None:
-    from spplanes._version import __version__
-
-    typer.echo(f"spplanes {__version__}")
-    if with_formats:
-        from slam.io.planes_json import FORMAT
-        from slam.session._file import VERSION
-
-        typer.echo(f"session.db: version {VERSION}")
-        typer.echo(f"planes.json: {FORMAT}")
-
-
 @app.callback(invoke_without_command=True)
 def group(
     context: typer.Context,
@@ -91,7 +80,12 @@ def group(
     be_quiet(quiet)
     tell_of_compiling()
     if version:
-        _print_version(with_formats=verbose > 0)
+        typer.echo(f"spplanes {__version__}")
+        if verbose:
+            from slam.io.planes_json import FORMAT
+            from slam.session._file import VERSION
+
+            typer.echo(f"session.db: version {VERSION}\nplanes.json: {FORMAT}")
         raise typer.Exit
     if context.invoked_subcommand is None:
         raise typer.BadParameter("expected a command, got none; -h lists them", param_hint="spplanes")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -122,12 +122,9 @@ def _show_pose(title: str, found: Registration, as_json: bool) -> None:
         console.print(visible(sentence), markup=False)
     for rival in numbers["rivals"][:_RIVALS]:
         if rival["probability"] >= _LEAST_PROBABILITY:
-            console.print(_rival_line(rival), markup=False)
+            where = ", ".join(f"{value:.2f}" for value in rival["xyz_m"])
+            turn = ", ".join(f"{value:.0f}" for value in rival["ypr_deg"])
+            line = f"or at ({where}) m, ({turn}) deg, with probability {rival['probability']:.2g}"
+            console.print(line, markup=False)
     line = f"the pose is {found.verdict.verdict}" + "".join(f"; {reason}" for reason in found.verdict.reasons)
     console.print(visible(line), markup=False)
-
-
-def _rival_line(rival: dict[str, Any]) -> str:
-    where = ", ".join(f"{value:.2f}" for value in rival["xyz_m"])
-    turn = ", ".join(f"{value:.0f}" for value in rival["ypr_deg"])
-    return f"or at ({where}) m, ({turn}) deg, with probability {rival['probability']:.2g}"

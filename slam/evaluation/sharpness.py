@@ -15,7 +15,6 @@ from slam.geometry.frames import lift
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, read_tum
 from slam.sensors.log import CloudScan
-from slam.sensors.rig import Rig
 from slam.session.opening import session_path
 from slam.session.store import Session
 from spplanes._check import FloatArray
@@ -136,7 +135,11 @@ def sharpness_of_run(run: Path, reference: Trajectory, log: Path) -> list[Metric
         ValueError: run and reference have no times in common.
     """
     stamps, poses, others = common_poses(read_tum(run / "trajectory.tum"), reference)
-    source, rig = load(log, _rig_of(run))
+    rig = None  # of a run that kept no session that of the log
+    if session_path(run).is_file():
+        with Session.open(run, read_only=True) as session:
+            rig = session.rig
+    source, rig = load(log, rig)
     scans = {scan.stamp_ns: scan for scan in source.scans() if isinstance(scan, CloudScan)}
     found = [k for k, stamp in enumerate(stamps.tolist()) if stamp in scans]
     if not found:
@@ -145,11 +148,3 @@ def sharpness_of_run(run: Path, reference: Trajectory, log: Path) -> list[Metric
     clouds = [lift(returns_of(scan, sensor), sensor.body_T_sensor) for scan, sensor in sensed]
     every = max(sum(map(len, clouds)) // _ENOUGH, 1)
     return compare_sharpness([cloud[::every] for cloud in clouds], poses[found], others[found]).metrics()
-
-
-def _rig_of(run: Path) -> Rig | None:
-    """The rig that a run was made with; None where it kept no session: then that of the log."""
-    if not session_path(run).is_file():
-        return None
-    with Session.open(run, read_only=True) as session:
-        return session.rig

@@ -46,18 +46,13 @@ class PoseErrors:
 
     def metrics(self, name: str) -> list[Metric]:
         """Root mean square, mean, median and maximum of both."""
-        degrees = np.rad2deg(self.rotation_rad)
-        return [
-            Metric(f"{name} {part} {statistic}", value, unit)
-            for part, values, unit in (("translation", self.translation_m, "m"), ("rotation", degrees, "deg"))
-            for statistic, value in _statistics(values).items()
-        ]
-
-
-def _statistics(values: FloatArray) -> dict[str, float]:
-    values = values if values.size else np.array([np.nan])
-    rmse = float(np.sqrt(np.mean(values**2)))
-    return {"rmse": rmse, "mean": float(values.mean()), "median": float(np.median(values)), "max": float(values.max())}
+        degrees, rows = np.rad2deg(self.rotation_rad), []
+        for part, errors, unit in (("translation", self.translation_m, "m"), ("rotation", degrees, "deg")):
+            known = errors if errors.size else np.array([np.nan])
+            numbers = np.sqrt(np.mean(known**2)), known.mean(), np.median(known), known.max()
+            for statistic, value in zip(("rmse", "mean", "median", "max"), numbers, strict=True):
+                rows.append(Metric(f"{name} {part} {statistic}", float(value), unit))
+        return rows
 
 
 def pose_errors(errors: FloatArray) -> PoseErrors:

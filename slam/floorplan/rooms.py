@@ -192,13 +192,10 @@ def _sides(ring: list[Edge], storey: Storey, lines: Sequence[Line], walls: Seque
     for number, run in groupby(ring[first:] + ring[:first], key=lambda edge: edge.line):
         line, (start, *_, end) = lines[number], [node for edge in run for node in (edge.start, edge.end)]
         span = line.span(start, end, storey)
-        sides.append((_most_seen(line, span, walls), span[1] - span[0]))
+        parts = [[line.base.beside(walls[k], one) for one in walls[k].extended] for k in line.faces]
+        most_seen = line.faces[int(np.argmax([covered_length(part, *span) for part in parts]))]
+        sides.append((most_seen, span[1] - span[0]))
     return _with_corners(sides, walls)
-
-
-def _most_seen(line: Line, span: Interval, walls: Sequence[Face]) -> int:
-    parts = [[line.base.beside(walls[k], one) for one in walls[k].extended] for k in line.faces]
-    return line.faces[int(np.argmax([covered_length(part, *span) for part in parts]))]
 
 
 def _with_corners(sides: list[tuple[int, float]], walls: Sequence[Face]) -> list[int]:

@@ -192,7 +192,8 @@ class _Building:
         high = opening.height.value if opening.height is not None else opening.seen_to_m
         high = _height_at(plan, opening.face) if high is None else high
         outline = plan.storey.in_plan(opening.outline)
-        through = outline + 0.05 * (outline - outline.mean(axis=0)) @ _across(outline)
+        across = (outline[0] - outline[3]) / np.linalg.norm(outline[0] - outline[3])
+        through = outline + 0.05 * (outline - outline.mean(axis=0)) @ np.outer(across, across)
         element = self._element("IfcOpeningElement", name, storey, self._body([through], low, high), (None, "OPENING"))
         self._properties(element, {"Width": opening.width, "LintelHeight": opening.height, "SillHeight": opening.sill})
         self._relate("IfcRelVoidsElement", f"{name} in wall", wall, element)
@@ -263,13 +264,6 @@ class _Building:
 
     def _new(self, kind: str, *values: Any) -> Any:
         return self._file.create_entity(kind, *values)
-
-
-def _across(outline: FloatArray) -> FloatArray:
-    """Projection (2, 2) on the way through a wall, of an opening's corners (4, 2)."""
-    way = outline[0] - outline[3]
-    way = way / np.linalg.norm(way)
-    return np.outer(way, way)
 
 
 def _height_at(plan: StoreyPlan, *faces: Face) -> float:

@@ -44,7 +44,8 @@ class History:
     def of(cls, planes: Sequence[MapPlane], slam: PlaneSlam | None = None, points: FloatArray | None = None) -> History:
         """The history of a map, of the estimator that made it, and some points (N, 3) to show with it."""
         points = np.empty((0, 3)) if points is None else points.round(2)
-        seen = {plane.id: plane.seen for plane in planes if not _is_outline(plane)}
+        outlines = ((plane, plane.plane.outline) for plane in planes)
+        seen = {one.id: one.seen for one, known in outlines if known is None or not one.seen.equals_exact(known, 0.0)}
         kinds = {plane.id: plane.kinds for plane in planes}
         if slam is None:
             return cls(seen, kinds, points=points)
@@ -92,10 +93,6 @@ def _points(numbers: Any) -> FloatArray:
     if not np.isfinite(points).all():
         raise ValueError("points_cm: expected finite numbers")
     return points
-
-
-def _is_outline(plane: MapPlane) -> bool:
-    return plane.plane.outline is not None and plane.seen.equals_exact(plane.plane.outline, 0.0)
 
 
 def _row(row: Any) -> tuple[int, float, int]:

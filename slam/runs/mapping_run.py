@@ -150,7 +150,10 @@ def _map_clouds(
     as if the errors of neighbouring poses had nothing in common.
     """
     poses = [_pose_of(scan, log) for scan in scans]
-    slam = PlaneSlam(_for_given_poses(config))
+    # no loops are looked for, and what one scan has seen is in the map
+    loops = config.loops.model_copy(update={"max_candidates": 0})
+    landmarks = config.landmarks.model_copy(update={"min_observations": 1})
+    slam = PlaneSlam(config.model_copy(update={"loops": loops, "landmarks": landmarks}))
     location = None if rig.localisation is None else rig.localisation.location_covariance()
     n_seen = n_represented = 0
     for index, scan in enumerate(scans):
@@ -177,10 +180,3 @@ def _keyframe(scan: CloudScan, seen: Sequence[PlaneObservation], poses: Sequence
         return Keyframe(scan.stamp_ns, seen, world_T_body_guess=poses[0])
     held = np.diag([_HELD_M**2] * 3 + [_HELD_RAD**2] * 3)
     return Keyframe(scan.stamp_ns, seen, Motion(inverse(poses[0]) @ poses[1], held, (_HELD_M, _HELD_RAD, _HELD_RAD)))
-
-
-def _for_given_poses(config: SlamConfig) -> SlamConfig:
-    """No loops are looked for, and what one scan has seen is in the map."""
-    loops = config.loops.model_copy(update={"max_candidates": 0})
-    landmarks = config.landmarks.model_copy(update={"min_observations": 1})
-    return config.model_copy(update={"loops": loops, "landmarks": landmarks})

@@ -65,7 +65,13 @@ def planes_to_mesh(
     sigmas = vertex_sigmas(shown, mesh)
     if colour_by not in ("plane", "sigma"):
         raise ValueError(f"colour_by: expected 'plane' or 'sigma', got {colour_by!r}")
-    colours = mesh.colours / 255.0 if colour_by == "plane" else _sigma_colours(sigmas, sigma_limit_m)
+    colours = mesh.colours / 255.0
+    if colour_by == "sigma":
+        from matplotlib import colormaps
+
+        most = float(sigmas.max(initial=0.0)) or 1.0
+        most = most if sigma_limit_m is None else as_positive("sigma_limit_m", sigma_limit_m)
+        colours = colormaps["viridis"](np.minimum(sigmas / most, 1.0))[:, :3]
     result = o3d.t.geometry.TriangleMesh()
     result.vertex.positions, result.triangle.indices = _tensor(mesh.vertices), _tensor(mesh.triangles)
     result.vertex.normals, result.vertex.colors = _tensor(mesh.normals), _colours(colours, tensor)
@@ -200,13 +206,6 @@ def label_colours(labels: np.ndarray) -> FloatArray:
     hues = labels * _GOLDEN_RATIO % 1.0
     colours = hsv_to_rgb(np.column_stack((hues, np.full(len(labels), 0.75), np.full(len(labels), 0.9))))
     return np.where((labels < 0)[:, None], _NO_PLANE_RGB, colours)
-
-
-def _sigma_colours(sigmas: FloatArray, limit_m: float | None) -> FloatArray:
-    from matplotlib import colormaps
-
-    largest = as_positive("sigma_limit_m", limit_m) if limit_m is not None else float(sigmas.max(initial=0.0)) or 1.0
-    return colormaps["viridis"](np.minimum(sigmas / largest, 1.0))[:, :3]
 
 
 def _as_map_planes(planes: Any) -> list[MapPlane]:

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
-from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import chains_of, colour_of, mesh_of
@@ -33,6 +32,12 @@ def write_rerun(run: StoredRun, path: Path | str) -> None:
     """
     rr = _rerun()
     recording = rr.RecordingStream("spplanes", recording_id=run.folder.resolve().name or "run")
+
+    def set_time(keyframe: int) -> None:
+        recording.set_time(KEYFRAME, sequence=keyframe)
+        if keyframe < len(run.trajectory):
+            recording.set_time(STAMP, duration=np.timedelta64(int(run.trajectory.stamps_ns[keyframe]), "ns"))
+
     recording.save(str(path))
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for plane in run.planes:
@@ -42,8 +47,15 @@ def write_rerun(run: StoredRun, path: Path | str) -> None:
             strip = rr.LineStrips3D([trajectory.poses[:, :3, 3]], colors=[colour])
             recording.log(name, strip, static=True)
     _log_confidence(rr, recording, run)
-    _log_poses(rr, recording, run.trajectory)
-    _log_nis(rr, recording, run)
+    for keyframe, pose in enumerate(run.trajectory.poses):
+        set_time(keyframe)
+        recording.log("body", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+    for kind, rows in sorted(run.history.nis.items()):
+        for keyframe, group in groupby(sorted(rows), key=lambda row: row[0]):
+            mine = list(group)
+            set_time(keyframe)
+            mean = sum(row[1] for row in mine) / sum(row[2] for row in mine)
+            recording.log(["nis", kind], rr.Scalars([mean]))
     recording.flush()
     recording.disconnect()
 
@@ -76,25 +88,6 @@ def _log_confidence(rr: Any, recording: Any, run: StoredRun) -> None:
     turns = [rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat()) for axes in vectors]
     ellipsoids = rr.Ellipsoids3D(centers=places, half_sizes=half, quaternions=turns, colors=[_BLUE] * len(places))
     recording.log("confidence", ellipsoids, static=True)
-
-
-def _log_poses(rr: Any, recording: Any, trajectory: Trajectory) -> None:
-    for keyframe, (stamp, pose) in enumerate(zip(trajectory.stamps_ns.tolist(), trajectory.poses, strict=True)):
-        recording.set_time(KEYFRAME, sequence=keyframe)
-        recording.set_time(STAMP, duration=np.timedelta64(stamp, "ns"))
-        recording.log("body", rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
-
-
-def _log_nis(rr: Any, recording: Any, run: StoredRun) -> None:
-    stamps = run.trajectory.stamps_ns.tolist()
-    for kind, rows in sorted(run.history.nis.items()):
-        for keyframe, group in groupby(sorted(rows), key=lambda row: row[0]):
-            mine = list(group)
-            recording.set_time(KEYFRAME, sequence=keyframe)
-            if keyframe < len(stamps):
-                recording.set_time(STAMP, duration=np.timedelta64(stamps[keyframe], "ns"))
-            mean = sum(row[1] for row in mine) / sum(row[2] for row in mine)
-            recording.log(["nis", kind], rr.Scalars([mean]))
 
 
 def _rerun() -> Any:
