@@ -128,11 +128,8 @@ _ENOUGH = 600_000
 def sharpness_of_run(run: Path, reference: Trajectory, log: Path) -> list[Metric]:
     """Median distance of points from the planes that scans share, by trajectory.tum of a run and by a reference.
 
-    The 3D scans of the log that the run was made from are read again, with the rig of its session.
-
-    Raises:
-        LogError: a log without 3D scans at the times of the poses, or one that cannot be read.
-        ValueError: run and reference have no times in common.
+    The 3D scans of the log that the run was made from are read again, with the rig of its session. LogError: they
+    cannot be, or there are none at the times of the poses; ValueError: run and reference have no times in common.
     """
     stamps, poses, others = common_poses(read_tum(run / "trajectory.tum"), reference)
     rig = None  # of a run that kept no session that of the log

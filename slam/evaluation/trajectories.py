@@ -196,8 +196,7 @@ class Relations:
 def read_relations(path: Path | str) -> Relations:
     """Read lines `t1 t2 dx dy dz roll pitch yaw`, plain or gzip; R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    Raises:
-        LogError: one sentence with file and line: not eight finite numbers, or no relations at all.
+    LogError, with file and line: not eight finite numbers, or no relations at all.
 
     References:
         Kuemmerle et al., "On Measuring the Accuracy of SLAM Algorithms", Autonomous Robots 27(4), 2009.

@@ -100,11 +100,7 @@ class FloorPlan:
 
 
 def floor_plan(joint: JointPlanes) -> FloorPlan:
-    """The floor plan of a map.
-
-    Raises:
-        ValueError: no vertical plane was seen, or none that is long enough and reaches the ceiling: nothing to draw.
-    """
+    """The floor plan of a map; ValueError: no vertical plane was seen that is long enough and reaches the ceiling."""
     levels = [storey for storey in storeys(joint) if storey.faces]
     if not levels:
         raise ValueError("planes: expected at least one vertical plane for a floor plan, got none")

@@ -142,12 +142,7 @@ def _storey(
     if ground is not None:
         normal, d = joint.hesse[ground.plane, :3], float(joint.hesse[ground.plane, 3])
         section = Section(normal, d + middle, ground.plane)
-    faces = [face_of(joint, k, section, low, high, floor) for k in upright]
-    return Storey(
-        section,
-        plan,
-        floor,
-        tuple(_largest_first([one for one in floors if low <= one.height < high - STOREY_M / 2.0])),
-        tuple(_largest_first([ceiling for ceiling in ceilings if low < ceiling.height <= high])),
-        tuple(face for face in faces if face is not None),
-    )
+    faces = tuple(face for k in upright if (face := face_of(joint, k, section, low, high, floor)) is not None)
+    below = tuple(_largest_first([one for one in floors if low <= one.height < high - STOREY_M / 2.0]))
+    above = tuple(_largest_first([one for one in ceilings if low < one.height <= high]))
+    return Storey(section, plan, floor, below, above, faces)

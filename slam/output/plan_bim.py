@@ -34,9 +34,7 @@ def write_dxf(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
 
     WALL has wall solids as closed polylines, less openings; FACE the faces of walls whose other side was not seen;
     ROOM the rooms as closed polylines, holes too; OPENING the openings; DIMENSION and TEXT what was measured.
-
-    Raises:
-        MissingPackageError: ezdxf is not installed.
+    MissingPackageError: ezdxf is not installed.
     """
     try:
         from ezdxf import units
@@ -100,10 +98,8 @@ _UNITS = {
 def write_ifc(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
     """Write a building of spaces (IfcSpace), walls (IfcWall) and openings (IfcOpeningElement), in metres.
 
-    A wall whose other side was not seen has a surface and no body, and says so in `OtherSideSeen`.
-
-    Raises:
-        MissingPackageError: ifcopenshell is not installed.
+    A wall whose other side was not seen has a surface and no body, and says so in `OtherSideSeen`. MissingPackageError:
+    ifcopenshell is not installed.
     """
     try:
         import ifcopenshell

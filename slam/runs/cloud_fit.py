@@ -85,20 +85,11 @@ class FittedCloud:
     def table(self) -> list[dict[str, Any]]:
         """The planes in plain numbers: d with its standard deviation at the centre, the worse of the two tilts."""
         rows = []
-        for index, plane in enumerate(self.planes):
-            sigma_d, *tilts = np.sqrt(np.diag(plane.covariance)).tolist()
-            rows.append(
-                {
-                    "id": index,
-                    "normal": plane.normal.tolist(),
-                    "d": plane.d,
-                    "sigma_d_m": sigma_d,
-                    "sigma_tilt_deg": math.degrees(max(tilts)),
-                    "n_points": plane.n_points,
-                    "area_m2": 0.0 if plane.outline is None else plane.outline.area,
-                    "flag": self.flags[index],
-                }
-            )
+        for index, (plane, flag) in enumerate(zip(self.planes, self.flags, strict=True)):
+            sigma, *tilts = np.sqrt(np.diag(plane.covariance)).tolist()
+            row = {"id": index, "normal": plane.normal.tolist(), "d": plane.d, "sigma_d_m": sigma}
+            row |= {"sigma_tilt_deg": math.degrees(max(tilts)), "n_points": plane.n_points}
+            rows.append({**row, "area_m2": 0.0 if plane.outline is None else plane.outline.area, "flag": flag})
         return rows
 
 

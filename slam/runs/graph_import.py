@@ -161,11 +161,10 @@ def _vertices_of(planes: list[MapPlane], graph: G2oGraph) -> dict[int, int]:
 def _observers(graph: gtsam.NonlinearFactorGraph) -> dict[int, set[int]]:
     """Poses that see each plane."""
     seen: dict[int, set[int]] = defaultdict(set)
-    for i in range(graph.size()):
-        factor = graph.at(i)
+    for factor in (graph.at(i) for i in range(graph.size())):
         if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
-            keys = list(factor.keys())
-            seen[keys[2]].add(keys[0])
+            pose, _, plane = factor.keys()
+            seen[plane].add(pose)
     return seen
 
 

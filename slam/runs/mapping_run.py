@@ -52,10 +52,8 @@ def run_map(
 ) -> MapResult:
     """Planes of the scans of a log, at the poses that the log gives, with the localisation's covariance.
 
-    A log with 3D scans is mapped by them, any other by its push-broom laser.
-
-    Raises:
-        LogError: no push-broom scans, scans without a pose or out of time order, or beam counts that change.
+    A log with 3D scans is mapped by them, any other by its push-broom laser. LogError: none of either, scans without a
+    pose or out of time order, or beam counts that change.
     """
     clock = clock or StageClock()
     clouds = [scan for scan in log.scans() if isinstance(scan, CloudScan) and scan.sensor in rig.of_kind("cloud")]

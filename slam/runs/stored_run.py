@@ -56,9 +56,7 @@ class StoredRun:
     def read(cls, folder: Path | str) -> StoredRun:
         """Read a run's folder; view.json and odometry.tum may be missing.
 
-        Raises:
-            LogError: no folder, or a file of it that is missing or is not what it should be.
-            SessionError: a run that is not finished.
+        LogError: no folder, or a file of it that is missing or wrong; SessionError: a run that is not finished.
         """
         folder = Path(folder)
         check_finished(folder)
@@ -133,9 +131,7 @@ def levelled(run: StoredRun) -> StoredRun:
     Of all turns about the world's origin it is the one that leaves the heading, by which x keeps its direction in plan:
     (x, y) are those of the floor plan. It is a change of coordinates, exact: covariances of planes and of poses are in
     their own frames and stay what they are. How well the floor's tilt is known is in the floor's own covariance.
-
-    Raises:
-        LogError: no plane of the map is a floor: seen from above, within 30 deg of the world's z.
+    LogError: no plane of the map is a floor: seen from above, within 30 deg of the world's z.
     """
     from slam.floorplan.storeys import plan_axes, upward  # with what no run needs of scipy
 

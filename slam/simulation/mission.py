@@ -70,10 +70,8 @@ class Mission:
     def save(self, folder: Path | str) -> None:
         """Write log, rig.yaml and truth/ into a folder that is new or empty; all of it or nothing.
 
-        The log is log.clf.gz, or a folder of clouds with times and odometry where the scans are 3D.
-
-        Raises:
-            ValueError: the folder holds something, or the mission has 2D and 3D scans, for which there is no format.
+        The log is log.clf.gz, or a folder of clouds with times and odometry where the scans are 3D. ValueError: the
+        folder holds something, or the mission has 2D and 3D scans, for which there is no format.
         """
         folder = Path(folder)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -144,11 +144,7 @@ class Path:
 
     @classmethod
     def rounded(cls, points: Sequence[tuple[float, float]], radius_m: float) -> Path:
-        """Straight from point to point, each corner between cut by an arc of `radius_m`; the first heading is a side's.
-
-        Raises:
-            ValueError: an arc does not fit between its neighbours.
-        """
+        """Straight from point to point, each corner between cut by an arc of `radius_m`; ValueError: one has no room."""
         pieces: list[FloatArray] = []
         corners = np.asarray(points, dtype=np.float64)
         here = corners[0]

@@ -2,7 +2,7 @@
 
 Every function returns legacy geometry (``open3d.geometry``), or with ``tensor=True`` tensor geometry
 (``open3d.t.geometry``), which also carries the landmark's id as attribute "plane" and, on meshes, the standard
-deviation along the normal as "sigma_m". Nothing here opens a window.
+deviation along the normal as "sigma_m". Nothing here opens a window. ImportError: Open3D is not there.
 """
 
 from __future__ import annotations
@@ -56,7 +56,6 @@ def planes_to_mesh(
         tensor: ``open3d.t.geometry.TriangleMesh`` in place of ``open3d.geometry.TriangleMesh``.
 
     Raises:
-        ImportError: Open3D is not there.
         ValueError: an unknown ``colour_by``, or a limit that is not positive.
     """
     o3d = _open3d()
@@ -132,7 +131,6 @@ def ellipsoids_to_lines(
         tensor: ``open3d.t.geometry.LineSet``, whose attribute "plane" is the number of the ellipsoid.
 
     Raises:
-        ImportError: Open3D is not there.
         ValueError: wrong shapes, a covariance that is not positive semidefinite, a confidence outside (0, 1), or a
             scale that is not positive.
     """
@@ -167,7 +165,6 @@ def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tenso
         tensor: ``open3d.t.geometry.PointCloud`` with the attribute "plane" in place of the legacy one.
 
     Raises:
-        ImportError: Open3D is not there.
         ValueError: points of another shape, or labels that are not one integer per point.
     """
     o3d = _open3d()

@@ -25,10 +25,7 @@ def write_rerun(run: StoredRun, path: Path | str) -> None:
 
     Entities: ``map/plane_ID`` (a mesh with its outline, the numbers as text), ``trajectory``, ``odometry``, ``body``
     (the pose of every keyframe), ``confidence`` (ellipsoids of 95 % at the positions), ``nis/TYPE`` (chi2 per degree of
-    freedom, mean of the keyframe). Timelines: keyframe, stamp.
-
-    Raises:
-        ImportError: the Rerun SDK is not there; the message says what to install.
+    freedom, mean of the keyframe). Timelines: keyframe, stamp. ImportError: the Rerun SDK is not there.
     """
     rr = _rerun()
     recording = rr.RecordingStream("spplanes", recording_id=run.folder.resolve().name or "run")
