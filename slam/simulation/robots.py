@@ -144,7 +144,7 @@ class Path:
 
     @classmethod
     def rounded(cls, points: Sequence[tuple[float, float]], radius_m: float) -> Path:
-        """Straight from point to point, each corner between cut by an arc of `radius_m`; ValueError: one has no room."""
+        """Straight from point to point, corners cut by arcs of `radius_m`; ValueError: one does not fit."""
         pieces: list[FloatArray] = []
         corners = np.asarray(points, dtype=np.float64)
         here = corners[0]
