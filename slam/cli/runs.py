@@ -26,7 +26,6 @@ def slam(options: SlamOptions) -> None:
 
 
 def _begin(options: SlamOptions) -> None:
-    """A new run."""
     if options.log is None or options.out is None or options.salvage:
         raise typer.BadParameter("expected LOG --out DIR, or --resume RUN", param_hint="slam")
     if options.prior is None and (options.start is not None or options.start_sigma is not None):

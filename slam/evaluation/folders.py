@@ -190,11 +190,12 @@ def read_reference(
 def _is_of_camera(run: Path, truth: Path) -> bool:
     if truth.name not in CAMERA_POSES:
         return False
-    places = list(truth.resolve().parents[:2])
-    if session_path(run).is_file():  # it says what the run was made from
-        with Session.open(run, read_only=True) as session:
-            places += [] if session.log is None else [Path(session.log["path"])]
-    return any(is_depth_folder(place) for place in places)
+    if any(is_depth_folder(folder) for folder in truth.resolve().parents[:2]):
+        return True
+    if not session_path(run).is_file():
+        return False
+    with Session.open(run, read_only=True) as session:  # it says what the run was made from
+        return session.log is not None and is_depth_folder(Path(session.log["path"]))
 
 
 def _sensor(run: Path, wanted: str) -> tuple[str, FloatArray]:

@@ -150,7 +150,6 @@ def find_openings(joint: JointPlanes, storey: Storey, faces: Sequence[Face], sol
 def _between(
     joint: JointPlanes, storey: Storey, face: Face, jambs: tuple[Face, Face], solids: Sequence[Wall]
 ) -> Opening:
-    """The opening between two jambs."""
     low, high = (float(face.s_of(jamb.origin)) for jamb in jambs)
     beside = (solid for solid in solids if face in (solid.front, solid.back))
     wall = next((one for one in beside if _contains(one, one.front.beside(face, (low, high)))), None)

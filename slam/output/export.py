@@ -68,7 +68,6 @@ def _ending_of(to: Path) -> str:
 
 
 def _write(run: StoredRun, ending: str, path: Path) -> list[str]:
-    """Write the file; what to know of it."""
     from slam.io.trajectories import write_kitti, write_tum
 
     match ending:

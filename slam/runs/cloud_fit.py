@@ -87,9 +87,9 @@ class FittedCloud:
         rows = []
         for index, (plane, flag) in enumerate(zip(self.planes, self.flags, strict=True)):
             sigma, *tilts = np.sqrt(np.diag(plane.covariance)).tolist()
-            row = {"id": index, "normal": plane.normal.tolist(), "d": plane.d, "sigma_d_m": sigma}
-            row |= {"sigma_tilt_deg": math.degrees(max(tilts)), "n_points": plane.n_points}
-            rows.append({**row, "area_m2": 0.0 if plane.outline is None else plane.outline.area, "flag": flag})
+            tilt, area = math.degrees(max(tilts)), 0.0 if plane.outline is None else plane.outline.area
+            where = {"normal": plane.normal.tolist(), "d": plane.d, "sigma_d_m": sigma, "sigma_tilt_deg": tilt}
+            rows.append({"id": index, **where, "n_points": plane.n_points, "area_m2": area, "flag": flag})
         return rows
 
 
@@ -117,7 +117,6 @@ def fit_cloud(
 
 
 def _segmented(points: FloatArray, sigma_m: float | None, viewpoint: Sequence[float]) -> tuple[CloudPlanes, str]:
-    """The planes of points, and where their noise comes from."""
     try:
         found = segment_cloud(points, sigma=sigma_m, viewpoint=viewpoint)
     except ValueError as error:
@@ -129,7 +128,6 @@ def _segmented(points: FloatArray, sigma_m: float | None, viewpoint: Sequence[fl
 
 
 def _counted(counts: PointCounts, planes: Sequence[Plane], flags: Sequence[str]) -> PointCounts:
-    """The counts with the points on these planes."""
     edge_on = sum(plane.n_points for plane, flag in zip(planes, flags, strict=True) if flag == "edge-on")
     on_planes = sum(plane.n_points for plane in planes) - edge_on
     rest = counts.returns - on_planes - edge_on

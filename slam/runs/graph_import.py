@@ -159,7 +159,6 @@ def _vertices_of(planes: list[MapPlane], graph: G2oGraph) -> dict[int, int]:
 
 
 def _observers(graph: gtsam.NonlinearFactorGraph) -> dict[int, set[int]]:
-    """Poses that see each plane."""
     seen: dict[int, set[int]] = defaultdict(set)
     for factor in (graph.at(i) for i in range(graph.size())):
         if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):

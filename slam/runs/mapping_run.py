@@ -63,7 +63,6 @@ def run_map(
 
 
 def _map_slices(log: Log, rig: Rig, config: SlamConfig, clock: StageClock, progress: Progress | None) -> MapResult:
-    """Planes of the push-broom scans of a log."""
     name, sensor = _slice_sensor(log, rig)
     scans = [scan for scan in log.scans(name) if isinstance(scan, LaserScan)]
     _check_alike(scans, log)
@@ -123,9 +122,9 @@ def _check_alike(scans: list[LaserScan], log: Log) -> None:
         if scan.stamp_ns < before.stamp_ns:
             times = f"got {scan.stamp_ns} ns after {before.stamp_ns} ns"
             raise LogError(log.source, f"expected scans of {scan.sensor!r} in time order, {times}")
-        beams, before_it = len(scan.ranges), len(before.ranges)
-        if beams != before_it:
-            raise LogError(log.source, f"expected {before_it} beams in every scan of {scan.sensor!r}, got {beams}")
+        wanted, got = len(before.ranges), len(scan.ranges)
+        if got != wanted:
+            raise LogError(log.source, f"expected {wanted} beams in every scan of {scan.sensor!r}, got {got}")
 
 
 def _pose_of(scan: LaserScan | CloudScan, log: Log) -> FloatArray:

@@ -19,7 +19,7 @@ from shapely import Polygon, box
 
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
-from slam.visualization.mesh import Mesh, chains_of, colour_of, mesh_of
+from slam.visualization.mesh import Mesh, chains_of, colour_of, mesh_of, optional
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_positive, as_shape
 
@@ -205,9 +205,16 @@ def label_colours(labels: np.ndarray) -> FloatArray:
     return np.where((labels < 0)[:, None], _NO_PLANE_RGB, colours)
 
 
-def _as_map_planes(planes: Any) -> list[MapPlane]:
-    """The planes of a map as they are; fitted ones with what is known of them."""
-    result, planes = [], _planes_in(planes)
+def _as_map_planes(given: Any) -> list[MapPlane]:
+    """One plane, several, or what has `planes`: those of a map as they are, fitted ones with what is known of them."""
+    found = getattr(given, "planes", given)
+    found = [found] if isinstance(found, MapPlane | Plane) else found
+    planes = list(found) if isinstance(found, Iterable) and not isinstance(found, str | np.ndarray) else [given]
+    for wrong in planes:
+        if not isinstance(wrong, MapPlane | Plane):
+            wanted = "a Plane or MapPlane, several of them, or what has planes such as a Run"
+            raise ValueError(f"planes: expected {wanted}, got {type(wrong).__name__}")
+    result = []
     for index, plane in enumerate(planes):
         if isinstance(plane, MapPlane):
             result.append(plane)
@@ -233,20 +240,6 @@ def _positions_of(trajectory: Any) -> FloatArray:
     if np.ndim(poses) == 2 and np.shape(poses)[1] == 3:
         return as_shape("trajectory", poses, (None, 3))
     return as_shape("trajectory", poses, (None, 4, 4))[:, :3, 3]
-
-
-def _planes_in(given: Any) -> list[MapPlane | Plane]:
-    """The planes of what was handed in: one of them, several, or anything that has `planes`."""
-    found = getattr(given, "planes", given)
-    found = [found] if isinstance(found, MapPlane | Plane) else found
-    if isinstance(found, Iterable) and not isinstance(found, str | np.ndarray):
-        found = list(found)
-        wrong = next((one for one in found if not isinstance(one, MapPlane | Plane)), None)
-        if wrong is None:
-            return found
-        given = wrong
-    wanted = "a Plane or MapPlane, several of them, or what has planes such as a Run"
-    raise ValueError(f"planes: expected {wanted}, got {type(given).__name__}")
 
 
 def _rectangle_of(plane: Plane) -> Polygon:
@@ -285,12 +278,5 @@ def _tensor(array: np.ndarray, dtype: type[np.generic] | None = None) -> Any:
 
 
 def _open3d() -> Any:
-    """Open3D, or what to do about its absence."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise ImportError(
-            "open3d cannot be imported; install it with `pip install spplanes[open3d]`, and the system library "
-            f"libusb-1.0 (Debian, Ubuntu: apt-get install libusb-1.0-0): {error}"
-        ) from error
-    return open3d
+    library = ", and the system library libusb-1.0 (Debian, Ubuntu: apt-get install libusb-1.0-0)"
+    return optional("open3d", library)

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 
 from slam.map.map_planes import MapPlane
 from slam.runs.stored_run import StoredRun
-from slam.visualization.mesh import chains_of, colour_of, mesh_of
+from slam.visualization.mesh import chains_of, colour_of, mesh_of, optional
 from slam.visualization.pictures import CONFIDENCE, position_covariances
 
 #: Timelines: number of the keyframe, and its time in the log.
@@ -27,7 +27,7 @@ def write_rerun(run: StoredRun, path: Path | str) -> None:
     (the pose of every keyframe), ``confidence`` (ellipsoids of 95 % at the positions), ``nis/TYPE`` (chi2 per degree of
     freedom, mean of the keyframe). Timelines: keyframe, stamp. ImportError: the Rerun SDK is not there.
     """
-    rr = _rerun()
+    rr = optional("rerun")
     recording = rr.RecordingStream("spplanes", recording_id=run.folder.resolve().name or "run")
 
     def set_time(keyframe: int) -> None:
@@ -85,13 +85,3 @@ def _log_confidence(rr: Any, recording: Any, run: StoredRun) -> None:
     turns = [rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat()) for axes in vectors]
     ellipsoids = rr.Ellipsoids3D(centers=places, half_sizes=half, quaternions=turns, colors=[_BLUE] * len(places))
     recording.log("confidence", ellipsoids, static=True)
-
-
-def _rerun() -> Any:
-    """The Rerun SDK, or what to do about its absence."""
-    try:
-        import rerun
-    except (ImportError, OSError) as error:
-        hint = "install it with `pip install spplanes[rerun]`"
-        raise ImportError(f"rerun cannot be imported; {hint}: {error}") from error
-    return rerun
