@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from slam.cli._output import be_quiet, tell_of_compiling, visible
+from slam.cli._output import be_quiet, visible
 from slam.cli.clouds import fit, register
 from slam.cli.joining import fleet, join
 from slam.cli.results import evaluate, explain, export, import_, view
@@ -78,7 +78,6 @@ def group(
         raise typer.BadParameter("expected one of -v and -q, got both", param_hint="-q")
     logging.getLogger().setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])
     be_quiet(quiet)
-    tell_of_compiling()
     if version:
         typer.echo(f"spplanes {__version__}")
         if verbose:

@@ -76,20 +76,19 @@ def visible(text: object) -> str:
 
 
 def be_quiet(quiet: bool) -> None:
-    """Print nothing but results, warnings and errors from here on, or everything again."""
+    """Print nothing but results, warnings and errors from here on, or everything again.
+
+    Where stderr is a terminal that includes why the first command ever seems to do nothing (`spplanes._jit`).
+    """
     _QUIET.set(quiet)
+    if sys.stderr.isatty() and not quiet:
+        logging.getLogger("spplanes._jit").setLevel(logging.INFO)
 
 
 def say(text: object) -> None:
     """One line on stderr, unless it is to be quiet."""
     if not _QUIET.get():
         typer.echo(visible(text), err=True)
-
-
-def tell_of_compiling() -> None:
-    """Where stderr is a terminal, let `spplanes._jit` say why the first command ever seems to do nothing."""
-    if sys.stderr.isatty() and not _QUIET.get():
-        logging.getLogger("spplanes._jit").setLevel(logging.INFO)
 
 
 def warn_of(sentences: Sequence[str]) -> None:

@@ -111,20 +111,17 @@ def flat_graph(component: JoinedComponent) -> tuple[gtsam.NonlinearFactorGraph, 
                 values.insert(name, component.solution.pose(number, key))
             elif key not in homes:
                 values.insert(name, own.atOrientedPlane3(key))
-        for index in range(mission.graph.factors.size()):
-            factor = mission.graph.factors.at(index)
-            if number and _speaks_of_its_frame(factor, level):
-                continue
-            with suppress(ArchiveError):
-                graph.push_back(rekeyed(factor, names, homes))
+        for factor in map(mission.graph.factors.at, range(mission.graph.factors.size())):
+            if number == 0 or not _speaks_of_its_frame(factor, level):
+                with suppress(ArchiveError):
+                    graph.push_back(rekeyed(factor, names, homes))
     return graph, values
 
 
 def _speaks_of_its_frame(factor: gtsam.NonlinearFactor, level: bool) -> bool:
     """Whether a factor would not hold in the common frame: of the start never, of the floor where that is another."""
-    if isinstance(factor, gtsam.PriorFactorPose3):
-        return True
-    return factor.size() == 1 and chr(factor.keys()[0] >> 56) in "xm" and not level
+    is_of_pose = factor.size() == 1 and chr(factor.keys()[0] >> 56) in "xm"
+    return isinstance(factor, gtsam.PriorFactorPose3) or (is_of_pose and not level)
 
 
 def draw_missions(component: JoinedComponent, path: Path) -> None:

@@ -89,7 +89,7 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Rep
     """
     if not is_open_to_repair(slam) or (slam.prior is None and all(frame.returns is None for frame in slam.keyframes)):
         return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it
-    verdict = _assessed(slam, rig)
+    verdict = assessed(slam, rig)
     repairs: list[Repair] = []
     while verdict.verdict != "sound" and len(repairs) < _ROUNDS:
         if slam.prior is None:
@@ -99,7 +99,7 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Rep
         if found is None:
             break
         other = slam.remap(found.places, found.prior, progress)
-        judged = _assessed(other, rig)
+        judged = assessed(other, rig)
         if _badness(judged) >= _badness(verdict):
             break
         other.supersede(slam, found.places)
@@ -114,7 +114,8 @@ def is_open_to_repair(slam: PlaneSlam) -> bool:
     return wanted and not isinstance(slam.keyframes, ForgottenKeyframes)
 
 
-def _assessed(slam: PlaneSlam, rig: Rig) -> Verdict:
+def assessed(slam: PlaneSlam, rig: Rig) -> Verdict:
+    """The verdict on a run, as a stage of its clock."""
     with slam.clock.stage("verdict"):
         return assess_run(slam, rig)
 

@@ -10,7 +10,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from slam.config import SlamConfig
-from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.verdict import Verdict
 from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
@@ -19,7 +18,7 @@ from slam.io.plausibility import check_events
 from slam.io.trajectories import Trajectory
 from slam.joining.join import Progress
 from slam.planeslam import MapPlane, PlaneSlam
-from slam.runs.repair import Repair, repaired
+from slam.runs.repair import Repair, assessed, repaired
 from slam.runs.scan_trajectory import as_stamped, odometry_of, scan_stamps, scan_trajectory
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
@@ -61,10 +60,7 @@ class Run:
     @cached_property
     def verdict(self) -> Verdict:
         """Sound, doubtful or broken, and why."""
-        if self.judged is not None:
-            return self.judged
-        with self.clock.stage("verdict"):
-            return assess_run(self.slam, self.rig)
+        return assessed(self.slam, self.rig) if self.judged is None else self.judged
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads that wait for more cost up to a third

@@ -116,7 +116,9 @@ def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], list[bytes]]:
     for index, plane in enumerate(planes):
         meshes.append({"name": f"plane {plane.id}", "primitives": [_primitive(plane, mesh_of([plane]), buffers)]})
         node = {"name": f"plane {plane.id}", "mesh": index, "translation": plane.plane.centre.tolist()}
-        nodes.append({**node, "extras": _numbers_of(plane)})
+        numbers = {"id": plane.id, "normal": plane.plane.normal.tolist(), "d": plane.plane.d}
+        numbers |= {"sigma_m": float(np.sqrt(plane.plane.covariance[0, 0])), "n_points": int(plane.plane.n_points)}
+        nodes.append({**node, "extras": numbers})
     asset = {"version": "2.0", "generator": f"spplanes {__version__}"}
     document: dict[str, Any] = {"asset": asset, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes}
     if planes:
@@ -139,16 +141,6 @@ def _primitive(plane: MapPlane, mesh: Mesh, buffers: _Buffers) -> dict[str, Any]
         },
         "indices": buffers.add(mesh.triangles.astype("<u4").ravel(), _UINT, "SCALAR", _INDICES),
         "material": 0,
-    }
-
-
-def _numbers_of(plane: MapPlane) -> dict[str, Any]:
-    return {
-        "id": plane.id,
-        "normal": plane.plane.normal.tolist(),
-        "d": plane.plane.d,
-        "sigma_m": float(np.sqrt(plane.plane.covariance[0, 0])),
-        "n_points": int(plane.plane.n_points),
     }
 
 
