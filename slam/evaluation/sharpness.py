@@ -64,7 +64,8 @@ def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference
     scan = np.repeat(np.arange(len(used)), [len(cloud) for cloud in used])
     mine, theirs = _placed(used, poses), _placed(used, reference)
     cell = np.unique(np.floor(mine / _CELL_M).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
-    shared = _shared(cell, scan)
+    pairs = np.unique(np.stack((cell, scan), axis=1), axis=0)
+    shared = (np.bincount(pairs[:, 0]) >= _MIN_SCANS) & (np.bincount(cell) >= _MIN_POINTS)
     mine, theirs, cell = mine[shared[cell]], theirs[shared[cell]], cell[shared[cell]]
     cell = np.unique(cell, return_inverse=True)[1].ravel()
     here, there = _Pieces.of(mine, cell), _Pieces.of(theirs, cell)
@@ -77,12 +78,6 @@ def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference
 
 def _placed(clouds: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
     return np.concatenate([cloud @ T[:3, :3].T + T[:3, 3] for cloud, T in zip(clouds, poses, strict=True)])
-
-
-def _shared(cell: np.ndarray, scan: np.ndarray) -> np.ndarray:
-    """Which cells hold enough points of enough scans."""
-    pairs = np.unique(np.stack((cell, scan), axis=1), axis=0)
-    return (np.bincount(pairs[:, 0]) >= _MIN_SCANS) & (np.bincount(cell) >= _MIN_POINTS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from slam.planeslam import PlaneSlam
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import pairs_under, places_anywhere, register_planes_globally
 from slam.registration.relocalization import scan_of
-from slam.registration.surface_registration import WEAK_PRIOR, Alignment, Expected, LocalMap, Tried, align
+from slam.registration.surface_registration import WEAK_PRIOR, Expected, LocalMap, Tried, align
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import rpy_from_transform, transform_from_rpy
 
@@ -249,7 +249,10 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
     theirs, mine = PlaneArrays.of(planes_of(a.observations)), PlaneArrays.of(planes_of(b.observations))
     anywhere = Expected(np.eye(4), WEAK_PRIOR)  # but upright: nobody carries a sensor upside down
     found = align(scan, LocalMap([(np.eye(4), known)]), _hypotheses(a, b, guess), anywhere)
-    ranked = _distinct(found)
+    ranked: list[Tried] = []  # the places at which the scan came to rest, the likeliest first, none twice
+    for one in found.tried:
+        if not any(_are_one(one.known_T_seen, other.known_T_seen) for other in ranked):
+            ranked.append(one)
     chances = np.exp([one.log_likelihood - ranked[0].log_likelihood for one in ranked])
     rivals = [Rival(one.known_T_seen, float(p)) for one, p in zip(ranked, chances / chances.sum(), strict=True)][1:]
     matched = [_one_to_one(pairs_under(one.known_T_seen, mine, theirs)) for one in ranked]
@@ -271,15 +274,6 @@ def _hypotheses(a: Keyframe, b: Keyframe, guess: FloatArray | None) -> list[Floa
         places += [] if about is None else [start @ about.known_T_seen]
     turns = [planar_transform(0.0, 0.0, turn) for turn in 2.0 * np.pi * np.arange(_HEADINGS) / _HEADINGS]
     return [*places, *turns, *guesses]
-
-
-def _distinct(found: Alignment) -> list[Tried]:
-    """The places at which a scan came to rest, the likeliest first, none twice."""
-    kept: list[Tried] = []
-    for one in found.tried:
-        if not any(_are_one(one.known_T_seen, other.known_T_seen) for other in kept):
-            kept.append(one)
-    return kept
 
 
 def _are_one(place: FloatArray, other: FloatArray) -> bool:

@@ -89,7 +89,9 @@ def carried(keyframes: Trajectory, stamps_ns: np.ndarray, track: OdometryTrack |
         poses[row] = keyframes.poses[a] @ inverse(moved[at[a]]) @ moved[place]
         if a != b and known[a] < stamps[row]:
             by_next = keyframes.poses[b] @ inverse(moved[at[b]]) @ moved[place]
-            poses[row] = _between(poses[row], by_next, _share(gathered, times, at[a], place, at[b]))
+            step = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(poses[row]) @ by_next))
+            share = _share(gathered, times, at[a], place, at[b])
+            poses[row] = poses[row] @ gtsam.Pose3.Expmap(share * step).matrix()
     return Trajectory(stamps, poses)
 
 
@@ -105,9 +107,3 @@ def _share(gathered: FloatArray, times: np.ndarray, start: int, here: int, end: 
     if whole > 0.0:
         return float((gathered[here] - gathered[start]) / whole)
     return int(times[here] - times[start]) / int(times[end] - times[start])
-
-
-def _between(first: FloatArray, last: FloatArray, share: float) -> FloatArray:
-    """A share of the geodesic of SE(3) from one pose to another, shape (4, 4)."""
-    step = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(first) @ last))
-    return first @ gtsam.Pose3.Expmap(share * step).matrix()

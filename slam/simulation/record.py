@@ -96,7 +96,8 @@ def drifting_odometry(poses: FloatArray, noise: OdometryNoise, rng: np.random.Ge
     steps = relative_motions(poses)
     scale, curvature = rng.standard_normal(2) * (noise.scale_sigma, noise.curvature_sigma_rad_per_m)
     way = np.hypot(steps[:, 0], steps[:, 1])
-    factors = _square_roots(noise.random_covariances(steps))
+    values, vectors = np.linalg.eigh(noise.random_covariances(steps))  # singular ones are of a robot that stands
+    factors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ vectors.transpose(0, 2, 1)
     steps = steps + np.einsum("kij,kj->ki", factors, rng.standard_normal(steps.shape))
     steps = steps + np.column_stack([scale * steps[:, :2], curvature * way])
     heading = poses[0, 2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
@@ -104,12 +105,6 @@ def drifting_odometry(poses: FloatArray, noise: OdometryNoise, rng: np.random.Ge
     moves = np.column_stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]])
     places = poses[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
     return np.column_stack([places, heading])
-
-
-def _square_roots(covariances: FloatArray) -> FloatArray:
-    """Symmetric square roots (K, 3, 3); covariances may be singular, as of a robot that stands."""
-    values, vectors = np.linalg.eigh(covariances)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ vectors.transpose(0, 2, 1)
 
 
 def relative_motions(poses: FloatArray) -> FloatArray:
