@@ -20,10 +20,8 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     ``.ply`` and ``.glb``: the polygons of the planes as a coloured mesh. ``.g2o``: the graph with its planes. ``.tum``,
     and ``.kitti`` or ``.kitti.txt``: the trajectory, every number exactly. ``.dxf``, ``.svg`` and ``.ifc``: the floor
     plan with standard deviations, for which the run's session is replayed. With ``level`` the world is turned so that
-    its largest floor is level (`slam.runs.stored_run.levelled`); floor plans always are.
-
-    Returns:
-        What whoever reads the file must know, a sentence each: a floor plan without rooms.
+    its largest floor is level (`slam.runs.stored_run.levelled`); floor plans always are. Returned is what whoever reads
+    the file must know, a sentence each: a floor plan without rooms.
 
     Raises:
         LogError: a file of the run that is missing or broken; a run at given poses has no graph and no session;

@@ -89,12 +89,8 @@ def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = 
     image in its camera's. The verdict says whether that is the place, or may be another one, or another building.
 
     The sensors' noise is assumed, as for a folder of such clouds. What it really is the planes that both clouds have
-    tell: the covariance is scaled by their chi2 (variance of unit weight).
-
-    Args:
-        a, b: the files.
-        guess: a_T_b about as it should be, shape (4, 4) or a ``gtsam.Pose3``: one more place to look at, which is not
-            believed; None: there is none.
+    tell: the covariance is scaled by their chi2 (variance of unit weight). A guess is a_T_b about as it should be,
+    (4, 4) or a ``gtsam.Pose3``: one more place to look at, which is not believed.
 
     Raises:
         LogError: a file that cannot be read.

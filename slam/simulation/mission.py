@@ -33,7 +33,7 @@ class ScanArrays:
     """All scans of one 2D laser of a mission as arrays."""
 
     stamps_ns: np.ndarray
-    """Times, shape (S,), int64."""
+    """Shape (S,), int64."""
     ranges: FloatArray
     """Measured ranges, shape (S, B), m; NaN = no return."""
     angles: FloatArray
