@@ -151,17 +151,10 @@ def corridor(way_m: float) -> World:
         add_wall(builder, wall, features_along(length, pattern), floor)
     for x in (start, end):
         builder.add_patch((x, -half, 0.0), (0, WIDTH_M, 0), (0, 0, HEIGHT_M), toward=inside)
-    _add_ceiling(builder, start, end)
-    return builder.build()
-
-
-def _add_ceiling(builder: WorldBuilder, start: float, end: float) -> None:
-    """Neon lamps along the middle, round steel beams from wall to wall, both just under the ceiling."""
-    x = start + 1.5
-    while x + 1.5 < end:
+    for x in np.arange(start + 1.5, end - 1.5, 4.0).tolist():  # lamps, and round steel beams, just under the ceiling
         builder.add_box((x, -0.12, HEIGHT_M - 0.10), (x + 1.3, 0.12, HEIGHT_M), hidden=["z+"])
-        builder.add_bar((x + 2.4, -WIDTH_M / 2.0, HEIGHT_M - 0.25), (x + 2.4, WIDTH_M / 2.0, HEIGHT_M - 0.25), 0.07)
-        x += 4.0
+        builder.add_bar((x + 2.4, -half, HEIGHT_M - 0.25), (x + 2.4, half, HEIGHT_M - 0.25), 0.07)
+    return builder.build()
 
 
 #: The room: length, width, height, and how much of two of its corners is cut off, m.

@@ -76,7 +76,10 @@ def _draw_views(run: Drawn, views: Sequence[str], frame: float, path: Path, doub
     axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
     for axis, view in zip(axes, views, strict=True):
         draw_view(axis, run, view)
-        _mark(axis, run.trajectory, view, doubtful)
+        if marked := [keyframe for keyframe in doubtful if keyframe < len(run.trajectory)]:
+            places = run.trajectory.poses[marked, :3, 3][:, _VIEWS[view]]
+            style = {"ls": "", "marker": "o", "markersize": 6, "alpha": 0.8, "zorder": 4}
+            axis.plot(*places.T, label="doubtful", color="tab:orange", **style)
     axes[0].set_title(title_of(run))
     if axes[0].get_legend_handles_labels()[0]:
         axes[0].legend(loc="upper right", fontsize=8)
@@ -109,15 +112,6 @@ def draw_planes(axes: Any, planes: Sequence[MapPlane], view: str, colours: Colou
     axes.set_aspect("equal")
     axes.grid(alpha=0.3)
     axes.autoscale_view()
-
-
-def _mark(axes: Any, path: Trajectory, view: str, keyframes: Sequence[int]) -> None:
-    """Colour keyframes of a trajectory on one of its views."""
-    chosen = [keyframe for keyframe in keyframes if keyframe < len(path)]
-    if not chosen:
-        return
-    places = path.poses[chosen, :3, 3][:, _VIEWS[view]]
-    axes.plot(*places.T, label="doubtful", color="tab:orange", ls="", marker="o", markersize=6, alpha=0.8, zorder=4)
 
 
 def view_height(run: Drawn, view: str) -> float:
