@@ -32,17 +32,7 @@ from slam.session.store import Session, salvage_session
 from slam.simulation import simulate_mission
 from slam.simulation.record import Truth
 from spplanes import ScanLine
-from tests.fuzz.target import (
-    Target,
-    check_log,
-    check_planes,
-    check_points,
-    check_pose,
-    check_poses,
-    folded,
-    unfolded,
-    written,
-)
+from tests.fuzz.target import Target, check_log, check_planes, check_points, check_poses, folded, unfolded, written
 from tests.fuzz.wrapping import e57, png, record, unrecorded, zipped
 from tests.slam.io.bags import Messages, write
 from tests.slam.io.test_clouds import npy, npz, pcd
@@ -84,19 +74,19 @@ def _image(path: Path) -> None:
 
 def _run(path: Path) -> None:
     run = StoredRun.read(unfolded(path, _RUN))
-    check_planes(known.plane for known in run.planes)
+    check_planes(*(known.plane for known in run.planes))
     check_poses(run.trajectory.poses)
 
 
 def _truth(path: Path) -> None:
-    check_planes(Truth.read(unfolded(path, _TRUTH)).planes)
+    check_planes(*Truth.read(unfolded(path, _TRUTH)).planes)
 
 
 def _prior(path: Path) -> None:
     """What can be a prior can begin a mission."""
     slam = PlaneSlam(prior=PriorMap.load(path))
     slam.add_keyframe(_first_keyframe())
-    check_pose(slam.trajectory.poses[0])
+    check_poses(slam.trajectory.poses)
 
 
 @cache
@@ -106,7 +96,7 @@ def _first_keyframe() -> Keyframe:
 
 def _prior_bytes(path: Path) -> None:
     prior = PriorMap.from_bytes(path.read_bytes())
-    check_pose(prior.world_T_start)
+    check_poses(prior.world_T_start)
     PlaneSlam(prior=prior)
 
 
@@ -121,7 +111,7 @@ def _keyframe_bytes(path: Path) -> None:
 
 
 def _fit(path: Path) -> None:
-    check_planes(fit_cloud(read_cloud(path), path).planes)
+    check_planes(*fit_cloud(read_cloud(path), path).planes)
 
 
 def _salvage(path: Path) -> None:
@@ -189,17 +179,17 @@ def _pcd() -> bytes:
     return pcd(n=40, body=_POINTS.astype("<f4").tobytes()).replace(b"VIEWPOINT 0", b"VIEWPOINT 1")
 
 
-def _tum(count: int) -> bytes:
+def tum(count: int) -> bytes:
     trajectory = Trajectory(np.arange(count) * 10**9, drive(0, count=count).world_T_body)
     return written(lambda path: write_tum(path, trajectory), "t.tum")
 
 
 def _cloud_folder_seeds() -> list[bytes]:
-    return [folded(b"0.0\n1.0\n", _tum(2), _tum(2), written(cloud_rig().to_yaml, "rig.yaml"), _pcd(), _pcd())]
+    return [folded(b"0.0\n1.0\n", tum(2), tum(2), written(cloud_rig().to_yaml, "rig.yaml"), _pcd(), _pcd())]
 
 
 def _depth_seeds() -> list[bytes]:
-    return [folded(b"525 525 8 6\n", b"0.0 depth/a1.png\n1.0 depth/a2.png\n", _tum(2), _png(), _png())]
+    return [folded(b"525 525 8 6\n", b"0.0 depth/a1.png\n1.0 depth/a2.png\n", tum(2), _png(), _png())]
 
 
 def _mission_seeds() -> list[bytes]:
@@ -220,11 +210,11 @@ def _planes() -> bytes:
 def _run_seeds() -> list[bytes]:
     history = written(lambda path: History(nis={"plane": [(0, 1.5, 3)]}).write(path), "view.json")
     metrics = b'{"metrics": [{"metric": "scans", "value": 3, "unit": "1"}]}'
-    return [folded(_planes(), _tum(3), history, metrics, _tum(3))]
+    return [folded(_planes(), tum(3), history, metrics, tum(3))]
 
 
 def _truth_seeds() -> list[bytes]:
-    return [folded(_planes(), _tum(3), npz(laser=np.zeros((2, 5), dtype=np.int32)))]
+    return [folded(_planes(), tum(3), npz(laser=np.zeros((2, 5), dtype=np.int32)))]
 
 
 def _prior_seeds() -> list[bytes]:

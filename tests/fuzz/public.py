@@ -24,7 +24,7 @@ from spplanes import (
     segment_cloud,
     segment_scans,
 )
-from tests.fuzz.target import Target, check_plane, check_pose, check_poses
+from tests.fuzz.target import Target, check_planes, check_poses
 from tests.slam.scenes import drive, room_planes
 
 
@@ -35,42 +35,33 @@ class Numbers:
         self._numbers, self._place = numbers, 0
 
     def array(self, *shape: int) -> np.ndarray:
-        """The next of this shape."""
         size = int(np.prod(shape))
         found = self._numbers[self._place : self._place + size]
         self._place += size
         return np.concatenate((found, np.zeros(size - len(found)))).reshape(shape)
 
     def number(self) -> float:
-        """The next number."""
         return float(self.array(1)[0])
 
     def plane(self) -> Plane:
-        """A plane of any frame and covariance."""
         return Plane(self.array(4, 4), self.array(3, 3), 10)
 
     def line(self) -> ScanLine:
-        """A line of any numbers."""
         return ScanLine(self.number(), self.number(), self.array(2, 2), self.array(2, 2), np.arange(3), 1.0)
 
     def covariances(self, count: int, size: int) -> np.ndarray:
-        """So many of this size."""
         return np.stack([self.array(size, size) for _ in range(count)])
 
     def location(self) -> Location:
-        """A location of all six rows."""
         return Location(self.array(4, 4), self.array(6, 6))
 
     def landmark(self) -> gtsam.OrientedPlane3:
-        """A landmark of GTSAM."""
         return factors.plane_landmark(self.plane())
 
     def plane_observation(self) -> factors.PlaneObservation:
-        """A plane seen from a pose."""
         return factors.PlaneObservation(self.plane())
 
     def line_observation(self) -> factors.LineObservation:
-        """A line seen by a laser of any mount."""
         return factors.LineObservation(self.line(), self.array(4, 4))
 
     def prediction(self) -> factors.Prediction:
@@ -246,9 +237,9 @@ def _read(path: Path) -> None:
 def _check(answer: Any) -> None:
     """What holds of every answer of its kind."""
     if isinstance(answer, Plane):
-        check_plane(answer)
+        check_planes(answer)
     elif isinstance(answer, Location):
-        check_pose(answer.transform)
+        check_poses(answer.transform)
         assert np.isfinite(answer.covariance).all()
     elif isinstance(answer, ScanLine):
         assert np.isfinite([answer.alpha, answer.rho, *answer.covariance.ravel()]).all()

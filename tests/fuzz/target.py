@@ -3,7 +3,7 @@
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -25,17 +25,11 @@ class Target:
     """Something that reads bytes."""
 
     name: str
-    """What it is called on the command line."""
-    read: Callable[[Path], Any]
-    """Reads a file and checks that the answer holds together."""
-    seeds: Callable[[], list[bytes]]
-    """Valid inputs."""
+    read: Callable[[Path], Any]  # reads a file and checks that the answer holds together
+    seeds: Callable[[], list[bytes]]  # valid inputs
     suffix: str = ""
-    """Ending of the file's name."""
-    wrap: Callable[[bytes], bytes] = bytes
-    """Makes the file out of an input: checksums and archives (`tests.fuzz.wrapping`)."""
-    is_numbers: bool = False
-    """Whether an input is numbers of eight bytes, one after another."""
+    wrap: Callable[[bytes], bytes] = bytes  # makes the file out of an input: checksums and archives
+    is_numbers: bool = False  # an input is numbers of eight bytes, one after another
 
     def run(self, data: bytes, folder: Path) -> bool:
         """Feed it bytes; whether they were an answer. Everything but an answer and a ValueError gets through."""
@@ -100,7 +94,7 @@ def check_log(log: Log) -> None:
     assert stamps and all(a <= b for a, b in pairwise(stamps))
     for event in log.events:
         if isinstance(event, OdometryReading):
-            check_pose(event.odom_T_body)
+            check_poses(event.odom_T_body)
         elif isinstance(event, LaserScan):
             assert event.ranges.shape == event.angles.shape and np.isfinite(event.angles).all()
             assert not np.isinf(event.ranges).any() and not (event.ranges <= 0.0).any()
@@ -113,27 +107,17 @@ def check_points(points: np.ndarray) -> None:
     assert points.shape[-1] == 3 and points.dtype == np.float64 and not np.isinf(points).any()
 
 
-def check_pose(pose: np.ndarray) -> None:
-    """A rigid transform."""
-    assert pose.shape == (4, 4) and np.isfinite(pose).all()
-    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2)
+def check_poses(poses: np.ndarray) -> None:
+    """Rigid transforms (..., 4, 4)."""
+    assert poses.shape[-2:] == (4, 4) and np.isfinite(poses).all()
+    turns = poses[..., :3, :3]
+    np.testing.assert_allclose(turns @ turns.swapaxes(-1, -2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-2)
 
 
-def check_poses(poses: Iterable[np.ndarray]) -> None:
-    """All of them."""
-    for pose in poses:
-        check_pose(pose)
-
-
-def check_planes(planes: Iterable[Plane]) -> None:
-    """All of them."""
+def check_planes(*planes: Plane) -> None:
+    """Each has a frame, and a covariance that is one."""
     for plane in planes:
-        check_plane(plane)
-
-
-def check_plane(plane: Plane) -> None:
-    """A frame, a covariance that is one."""
-    check_pose(plane.frame)
-    assert np.isfinite(plane.covariance).all()
-    scale = float(np.abs(plane.covariance).max())
-    assert np.linalg.eigvalsh(plane.covariance)[0] >= -1e-6 * scale
+        check_poses(plane.frame)
+        assert np.isfinite(plane.covariance).all()
+        scale = float(np.abs(plane.covariance).max())
+        assert np.linalg.eigvalsh(plane.covariance)[0] >= -1e-6 * scale

@@ -5,7 +5,7 @@ Any bytes must lead to an answer that holds together or to a ValueError of one s
 
 import gzip
 import json
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +16,16 @@ from slam.io.carmen import read_carmen, write_carmen
 from slam.io.g2o.reader import read_g2o
 from slam.io.planes_json import read_planes, write_planes
 from slam.io.threedtk import read_3dtk
-from slam.io.trajectories import Trajectory, read_kitti, read_tum, write_kitti, write_tum
+from slam.io.trajectories import read_kitti, read_tum, write_kitti
 from slam.sensors.rig import Rig
 from slam.session._codec import decode, encode, without_scans
 from slam.session.store import Session
 from slam.simulation import simulate_mission
 from slam.simulation.robots import paper_rig
 from spplanes import Plane
-from tests.fuzz.folders import FOLDERS, check_cloud, session_seeds
+from tests.fuzz.folders import FOLDERS, check_cloud, session_seeds, tum
 from tests.fuzz.public import PUBLIC
-from tests.fuzz.target import Target, check_log, check_plane, check_poses, written
+from tests.fuzz.target import Target, check_log, check_planes, check_poses, written
 from tests.slam.io.test_clouds import CLOUD_FILES
 from tests.slam.scenes import drive, room_planes
 
@@ -52,7 +52,7 @@ def _tum(path: Path) -> None:
 
 def _planes(path: Path) -> None:
     for plane in read_planes(path):
-        check_plane(plane)
+        check_planes(plane)
         assert Plane.from_dict(plane.to_dict()).to_dict() == plane.to_dict()
 
 
@@ -61,7 +61,7 @@ def _plane_dict(path: Path) -> None:
         data = json.loads(path.read_bytes())
     except RecursionError as error:
         raise ValueError("too deep") from error
-    check_plane(Plane.from_dict(data))
+    check_planes(Plane.from_dict(data))
 
 
 def _g2o(path: Path) -> None:
@@ -104,12 +104,8 @@ def _carmen_seeds() -> list[bytes]:
     return [whole, gzip.compress(whole), flaser]
 
 
-def _trajectory() -> Trajectory:
-    return Trajectory(np.arange(4) * 10**9, drive(0, count=4).world_T_body)
-
-
 def _kitti_seeds() -> list[bytes]:
-    return [written(lambda path: write_kitti(path, _trajectory().poses), "k.txt")]
+    return [written(lambda path: write_kitti(path, drive(0, count=4).world_T_body), "k.txt")]
 
 
 def _codec_seeds() -> list[bytes]:
@@ -142,7 +138,7 @@ TARGETS = {
         Target("carmen", lambda path: check_log(read_carmen(path)), _carmen_seeds, ".clf"),
         Target("carmen-rig", lambda path: check_log(read_carmen(path, rig=paper_rig())), _carmen_seeds, ".clf"),
         Target("3dtk", _threedtk, lambda: [b"100 200 300\n110 200 300\n\x000 0 0\n0 0 0\n"]),
-        Target("tum", _tum, lambda: [written(lambda path: write_tum(path, _trajectory()), "t.tum")]),
+        Target("tum", _tum, lambda: [tum(4)]),
         Target("kitti", lambda path: check_poses(read_kitti(path)), _kitti_seeds),
         Target("relations", lambda path: check_poses(read_relations(path).a_T_b), lambda: [b"1.5 2.5 1 0 0 0 0 0.1\n"]),
         Target("planes", _planes, lambda: [written(lambda path: write_planes(path, room_planes()), "planes.json")]),
@@ -154,9 +150,6 @@ TARGETS = {
         Target("Plane.from_dict", _plane_dict, lambda: [json.dumps(room_planes()[0].to_dict()).encode()]),
         *PUBLIC,
         *FOLDERS,
-        *(
-            Target(f"cloud{suffix}", check_cloud, lambda suffix=suffix: _cloud_seeds(suffix), suffix)  # type: ignore[misc]
-            for suffix in CLOUDS
-        ),
+        *(Target(f"cloud{suffix}", check_cloud, partial(_cloud_seeds, suffix), suffix) for suffix in CLOUDS),
     )
 }
