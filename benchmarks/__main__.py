@@ -23,7 +23,6 @@ OWN_OPTIONS = {"corpus": "corpus.__main__", "ablation": "corpus.ablation", "join
 
 
 def parser() -> argparse.ArgumentParser:
-    """The options."""
     one = argparse.ArgumentParser(prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0])
     one.add_argument("names", nargs="*", metavar="NAME", help=f"out of {', '.join(WORKLOADS)}")
     one.add_argument("--peers", action="store_true", help="first make the environment of the peers that need their own")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks._measure import CPU, MEMORY, Row
 
@@ -20,14 +19,11 @@ GROWTH = "of the first tenth"
 Figures = dict[str, dict[str, float]]
 
 
-@dataclass(frozen=True)
-class Accuracy:
+class Accuracy(NamedTuple):
     """How a column tells what is worse."""
 
-    badness: Callable[[float], float] = abs
-    """From its value to what grows as it gets worse."""
-    slack: float = 0.0
-    """What may be added to it besides the tolerance."""
+    badness: Callable[[float], float] = abs  # from its value to what grows as it gets worse
+    slack: float = 0.0  # what may be added to it besides the tolerance
 
 
 ACCURACY = {
@@ -37,19 +33,17 @@ ACCURACY = {
 }
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What a gate has to say: a sentence for each regression, and how many figures were compared."""
 
-    regressions: list[str] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
-    """Figures that are kept and were not measured: a peer is not there."""
-    compared: int = 0
+    regressions: list[str]
+    missing: list[str]  # figures that are kept and were not measured: a peer is not there
+    compared: int
 
     @property
     def exit_code(self) -> int:
         """1 where something is worse."""
-        return 1 if self.regressions else 0
+        return int(bool(self.regressions))
 
 
 def figures_of(workload: str, rows: list[Row]) -> Figures:

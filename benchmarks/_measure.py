@@ -34,16 +34,12 @@ QUICK_S = 0.1
 class Task:
     """One contender of a case; the first one of a case is ours, and the measure of the others."""
 
-    by: str
-    """Whose it is."""
-    work: Callable[[], Any]
-    """What is timed."""
-    score: Callable[[Any], Row] = lambda _: {}
-    """Accuracy of what it returns; not timed."""
+    by: str  # whose it is
+    work: Callable[[], Any]  # what is timed
+    score: Callable[[Any], Row] = lambda _: {}  # accuracy of what it returns; not timed
     repeats: int = 5
     """How many times it is timed, after once to warm up; 1: the first time counts, for what takes seconds."""
-    things: int = 0
-    """How many things one call does, where the time of one is a column of its own; 0: it is not."""
+    things: int = 0  # how many things one call does, where the time of one is a column of its own; 0: it is not
 
 
 @dataclass(frozen=True)

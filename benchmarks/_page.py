@@ -139,7 +139,6 @@ def cell(value: object) -> str:
 
 
 def plain(rows: list[dict[str, Any]]) -> str:
-    """Aligned columns."""
     names = columns_of(rows)
     lines = [names, *([cell(row.get(name)) for name in names] for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(names))]

@@ -11,14 +11,10 @@ class Workload:
     """One module of this package."""
 
     title: str
-    says: str
-    """What is measured, and what the reader must know of it."""
-    full: dict[str, Any] = field(default_factory=dict)
-    """Arguments of its `run`."""
-    short: dict[str, Any] = field(default_factory=dict)
-    """The same for `--short`."""
-    gated: bool = False
-    """Its ratios and accuracy are compared with those kept."""
+    says: str  # what is measured, and what the reader must know of it
+    full: dict[str, Any] = field(default_factory=dict)  # arguments of its `run`
+    short: dict[str, Any] = field(default_factory=dict)  # the same for `--short`
+    gated: bool = False  # its ratios and accuracy are compared with those kept
 
 
 _QUICK = {"short": True}

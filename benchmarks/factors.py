@@ -103,7 +103,6 @@ def linearising(graphs: Callable[[], dict[str, gtsam.NonlinearFactorGraph]]) -> 
 
 
 def plane_graphs() -> dict[str, gtsam.NonlinearFactorGraph]:
-    """Planes in each form."""
     _, planes, poses, keys, anchors = observed()
     own = gtsam.NonlinearFactorGraph()
     for plane, pose, key in zip(planes, poses, keys, strict=True):

@@ -106,7 +106,6 @@ def score(normals: np.ndarray, middle_offsets: np.ndarray) -> Row:
 
 
 def score_planes(planes: list[Plane]) -> Row:
-    """Accuracy of planes with covariance."""
     row = score(np.stack([p.normal for p in planes]), np.array([p.distance(CENTRE) for p in planes]).ravel())
     return row | {"NEES (3)": float(np.mean([nees(plane) for plane in planes]))}
 
@@ -127,7 +126,6 @@ def score_numpy(found: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Row:
 
 
 def score_groups(found: tuple[np.ndarray, np.ndarray]) -> Row:
-    """Accuracy of many planes without covariance."""
     normals, centres = found
     return score(normals, np.einsum("ki,ki->k", normals, CENTRE - centres))
 
@@ -201,5 +199,4 @@ CASES: dict[str, Case] = {
 
 
 def run(*, short: bool = False) -> list[Row]:
-    """One row for each contender of each case."""
     return measured("benchmarks.fit", CASES, short=short)

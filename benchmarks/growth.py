@@ -56,7 +56,6 @@ class _Spent:
         self._seconds, self._closings, self._memory = [], [], resident_mb()
 
     def add(self, slam: PlaneSlam, frame: Keyframe) -> None:
-        """Add a keyframe and take its time."""
         loops = sum(merge.cause == "loop" for merge in slam.merges.history)
         start = time.process_time()
         slam.add_keyframe(frame)

@@ -58,7 +58,6 @@ def true_joins(recipe: Recipe, seeds: Sequence[int], significance: float) -> tup
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print."""
     one = argparse.ArgumentParser(prog="python -m benchmarks joins", description=(__doc__ or "").splitlines()[0])
     one.add_argument("--recipe", default="office/level", help="world/sensors, as in benchmarks.corpus.drives")
     one.add_argument("--buildings", type=int, default=46)

@@ -37,16 +37,11 @@ CORRIDOR_SENSOR = SensorModel(
 class Scene:
     """Points and how they are segmented by us."""
 
-    points: FloatArray
-    """Shape (S, B, 3); NaN: no return."""
-    segment: Callable[[], tuple[np.ndarray, list[Plane]]]
-    """Ours: labels (S, B), planes."""
-    distance_m: float
-    """Inlier distance for RANSAC: three sigma of the points across planes."""
-    truth: np.ndarray | None
-    """Label of the true plane, shape (S, B), 1 and up; 0: none."""
-    wanted_points: int = 0
-    """True planes count that have more points than this."""
+    points: FloatArray  # shape (S, B, 3); NaN: no return
+    segment: Callable[[], tuple[np.ndarray, list[Plane]]]  # ours: labels (S, B), planes
+    distance_m: float  # inlier distance for RANSAC: three sigma of the points across planes
+    truth: np.ndarray | None  # label of the true plane, shape (S, B), 1 and up; 0: none
+    wanted_points: int = 0  # true planes count that have more points than this
 
     @property
     def returns(self) -> np.ndarray:
@@ -104,14 +99,12 @@ def mission() -> Scene:
 
 @cache
 def labelled(read: Callable, distance_m: float) -> Scene:
-    """A frame with labels."""
     points, sigma, truth = read(DATA)
     return Scene(points, partial(segment_scans, points, sigma=sigma), distance_m, truth)
 
 
 @cache
 def corridor() -> Scene:
-    """The first scan of the 3DTK corridor."""
     points, model = corridor_scan(DATA, 0), CORRIDOR_SENSOR
     given = {
         "pose_covariances": np.tile(model.scan_covariance(), (len(points), 1, 1)),
@@ -265,5 +258,4 @@ CASES: dict[str, Case] = {name: case for name, (folder, case) in _ALL.items() if
 
 
 def run(*, short: bool = False) -> list[Row]:
-    """One row for each contender of each scene that is there."""
     return measured("benchmarks.scenes", CASES, short=short)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from scipy.spatial.transform import Rotation
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "img"
 COLOURS = {"x": "#c53030", "y": "#2f855a", "z": "#2b6cb0"}
@@ -45,7 +46,7 @@ def draw_perturbations(path: Path) -> None:
         "theta: turn about y\nz(x, y) = − theta x",
         "psi: turn about x\nz(x, y) = psi y",
     )
-    turns = (np.eye(3), about_y(0.35), about_x(0.35))
+    turns = (np.eye(3), *(Rotation.from_euler(axis, 0.35).as_matrix() for axis in "yx"))
     for axes, name, turn, shift in zip(panels, names, turns, (0.55, 0.0, 0.0), strict=True):
         patch(axes, np.zeros(3), np.eye(3), (1.2, 0.8), alpha=0.25)
         patch(axes, np.array([0.0, 0.0, shift]), turn, (1.2, 0.8), colour="#dd8452")
@@ -79,18 +80,6 @@ def draw_line(path: Path) -> None:
     axes.set_aspect("equal")
     axes.set_axis_off()
     save(figure, path)
-
-
-def about_x(angle: float) -> np.ndarray:
-    """Rotation (3, 3) about x."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def about_y(angle: float) -> np.ndarray:
-    """Rotation (3, 3) about y."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def scene(count: int, size: tuple[float, float]) -> tuple[Figure, list[Any]]:

@@ -52,23 +52,15 @@ def main(data: Path) -> None:
     fleet_map(IMAGES / "joined.png")
     loop = data / "loop5" / "loop5.clf.gz"
     if loop.is_file():
-        log, rig = load(loop)
-        run, title = run_slam(log, rig, SlamConfig()), "a corridor loop seen by one 2D laser"
+        run, title = run_slam(*load(loop), SlamConfig()), "a corridor loop seen by one 2D laser"
         plan(run, IMAGES / "loop.png", title)
         page(run, IMAGES / "points.png", title, part="#points")
-    corridor = data / "3dtk_corridor"
-    if corridor.is_dir():
-        log, rig = load(corridor)
-        run = run_slam(log, rig, SlamConfig())
-        page(run, IMAGES / "corridor.png", "a real corridor: three scans of a tilting laser")
-    hall = data / "balm_hall"
-    if hall.is_dir():
-        log, rig = load(hall)
-        page(
-            run_slam(log, rig, SlamConfig()),
-            IMAGES / "hall.png",
-            "a real hall: 20 clouds of a spinning lidar, no odometry",
-        )
+    for name, picture_name, title in (
+        ("3dtk_corridor", "corridor.png", "a real corridor: three scans of a tilting laser"),
+        ("balm_hall", "hall.png", "a real hall: 20 clouds of a spinning lidar, no odometry"),
+    ):
+        if (data / name).is_dir():
+            page(run_slam(*load(data / name), SlamConfig()), IMAGES / picture_name, title)
 
 
 def picture(run: Run, path: Path, title: str) -> None:

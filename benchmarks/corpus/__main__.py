@@ -20,41 +20,21 @@ from benchmarks.corpus.summary import by_kind, compared, digits, key
 #: Longest that a drive may take, s.
 LIMIT_S = 900.0
 #: Columns of a row as it is printed when it comes.
-_SHOWN = [
-    "drive",
-    "seed",
-    "state",
-    "rmse, m",
-    "worst, m",
-    "sigma, m",
-    "judged",
-    "pose NEES",
-    "planes",
-    "plane NEES/dof",
-    "duplicates",
-    "verdict",
-    "CPU s",
-]
+_SHOWN = ["drive", "seed", "state", "rmse, m", "worst, m", "sigma, m", "judged", "pose NEES"]
+_SHOWN += ["planes", "plane NEES/dof", "duplicates", "verdict", "CPU s"]
 
 
-def parser() -> argparse.ArgumentParser:
-    """The options."""
-    one = argparse.ArgumentParser(prog="python -m benchmarks corpus", description=(__doc__ or "").splitlines()[0])
-    add_choice(one)
+def parser_of(name: str, description: str | None) -> argparse.ArgumentParser:
+    """The options that corpus and ablation have: which drives, and where their rows and the table go."""
+    one = argparse.ArgumentParser(prog=f"python -m benchmarks {name}", description=(description or "").splitlines()[0])
     one.add_argument("--json", type=Path, metavar="FILE", help="write all rows to a file")
-    one.add_argument("--resume", action="store_true", help="go on with the drives that FILE does not have yet")
-    one.add_argument("--compare", type=Path, metavar="FILE", help="rows of an earlier run: before and after by kind")
-    one.add_argument("--write", action="store_true", help="put the table by kind into benchmarks/results.md")
-    return one
-
-
-def add_choice(one: argparse.ArgumentParser) -> None:
-    """Options that say which drives, also for the ablation."""
+    one.add_argument("--write", action="store_true", help="put the table into benchmarks/results.md")
     one.add_argument("--short", action="store_true", help="every kind once")
     one.add_argument("--seeds", type=seeds_of, default=range(1), metavar="A:B", help="seeds from A to B - 1; 0:1")
     one.add_argument("--kind", nargs="+", default=[], metavar="NAME", help="part of a drive's name, pattern, or name")
     one.add_argument("--draw", type=int, metavar="N", help="N random drives out of all combinations, by seed from A on")
     one.add_argument("--limit", type=float, default=LIMIT_S, metavar="S", help="longest that a drive may take, s")
+    return one
 
 
 def seeds_of(word: str) -> range:
@@ -67,7 +47,6 @@ def seeds_of(word: str) -> range:
 
 
 def chosen(asked: argparse.Namespace) -> list[Entry]:
-    """The drives that are asked for."""
     if asked.draw is not None:
         return drawn(asked.draw, asked.seeds)
     return corpus(asked.seeds, short=asked.short, kinds=asked.kind)
@@ -75,7 +54,10 @@ def chosen(asked: argparse.Namespace) -> list[Entry]:
 
 def main(words: Sequence[str]) -> int:
     """Run and print; exit code 2 for options that make no sense."""
-    asked = parser().parse_args(words)
+    parser = parser_of("corpus", __doc__)
+    parser.add_argument("--resume", action="store_true", help="go on with the drives that FILE does not have yet")
+    parser.add_argument("--compare", type=Path, metavar="FILE", help="rows of an earlier run: before and after by kind")
+    asked = parser.parse_args(words)
     try:
         entries = chosen(asked)
         before = read_rows(asked.compare) if asked.compare else None

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks._page import plain
-from benchmarks.corpus.__main__ import add_choice, chosen, printed, publish, write_json
+from benchmarks.corpus.__main__ import chosen, parser_of, printed, publish, write_json
 from benchmarks.corpus.catalogue import Entry
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
@@ -33,19 +31,11 @@ _STANDARD_ERRORS = 2.0
 _FEWEST = 3
 
 
-def parser() -> argparse.ArgumentParser:
-    """The options."""
-    one = argparse.ArgumentParser(prog="python -m benchmarks ablation", description=(__doc__ or "").splitlines()[0])
-    add_choice(one)
-    one.add_argument("--without", nargs="+", metavar="NAME", help=f"only these out of {', '.join(SWITCHES)}")
-    one.add_argument("--json", type=Path, metavar="FILE", help="write all rows to a file")
-    one.add_argument("--write", action="store_true", help="put the table into benchmarks/results.md")
-    return one
-
-
 def main(words: Sequence[str]) -> int:
     """Run the drives as they are and with each mechanism off; exit code 2 for options that make no sense."""
-    asked = parser().parse_args(words)
+    parser = parser_of("ablation", __doc__)
+    parser.add_argument("--without", nargs="+", metavar="NAME", help=f"only these out of {', '.join(SWITCHES)}")
+    asked = parser.parse_args(words)
     names = asked.without or list(SWITCHES)
     try:
         entries = chosen(asked)

@@ -30,10 +30,8 @@ _MORE_WHEELS = (
 class Entry:
     """One drive of the corpus."""
 
-    name: str
-    """A recipe's name, real/LOG, real/LOG/PERTURBATION, or one of `HANDHELD`."""
-    seed: int
-    """Which one of its kind; 0 for a real log as it is."""
+    name: str  # a recipe's name, real/LOG, real/LOG/PERTURBATION, or one of `HANDHELD`
+    seed: int  # which one of its kind; 0 for a real log as it is
 
     @property
     def kinds(self) -> list[str]:

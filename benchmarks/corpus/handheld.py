@@ -51,10 +51,8 @@ class _Carried:
 
     rate_hz: float
     images: int
-    speed_m_per_s: float
-    """The highest along x or y."""
-    turn_deg_per_s: float
-    """The highest."""
+    speed_m_per_s: float  # the highest along x or y
+    turn_deg_per_s: float  # the highest
     sparse: bool
 
 
@@ -124,10 +122,8 @@ class _Camera:
     """A camera, a fan of beams for every row of pixels, with the errors of its depths."""
 
     beams: Beams
-    false: FloatArray
-    """By what share depths are false, shape (H, W)."""
-    drops: bool
-    """Whether depths are missing as those of real cameras are."""
+    false: FloatArray  # by what share depths are false, shape (H, W)
+    drops: bool  # whether depths are missing as those of real cameras are
 
     @classmethod
     def drawn(cls, carried: _Carried, rng: np.random.Generator) -> _Camera:

@@ -25,16 +25,12 @@ class PolygonWorld(World):
     The outline of a wall with gaps is the convex hull of what can be hit of it.
     """
 
-    seen: list[Polygon | MultiPolygon]
-    """All of each plane that can be hit and no more, in (x, y) of its frame."""
-    frames: FloatArray
-    """Frame of each polygon, which lies in its x and y, shape (G, 4, 4), m."""
-    edges: FloatArray
-    """Edges of the rings of all polygons, rows (x0, y0, x1, y1) in their frames, shape (E, 4), m."""
+    seen: list[Polygon | MultiPolygon]  # all of each plane that can be hit and no more, in (x, y) of its frame
+    frames: FloatArray  # frame of each polygon, which lies in its x and y, shape (G, 4, 4), m
+    edges: FloatArray  # edges of the rings of all polygons, rows (x0, y0, x1, y1) in their frames, shape (E, 4), m
     first_edges: np.ndarray
     """Where the edges of each polygon begin, and the end of the last one's, shape (G + 1,), int64."""
-    plane_of_polygon: np.ndarray
-    """Index of the plane a polygon belongs to, or `GLASS`, shape (G,), int32."""
+    plane_of_polygon: np.ndarray  # index of the plane a polygon belongs to, or `GLASS`, shape (G,), int32
 
     def cast(self, origins: FloatArray, rays: FloatArray, scan_normals: FloatArray) -> tuple[FloatArray, np.ndarray]:
         """As `World.cast`."""

@@ -20,7 +20,6 @@ Job = tuple[Entry, dict[str, Any]]
 
 
 def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
-    """Make the drive, run it, score it; in this process."""
     config = changed(changes)
     if entry.name.startswith(f"{REAL_WORD}/"):
         from benchmarks.corpus.real import real_row

@@ -29,11 +29,9 @@ _ICP_YAW_DEG, _ICP_XYZ_M = 40.85, (1.964, 0.059, 0.010)
 class RealLog:
     """One log."""
 
-    path: str
-    """File or folder below the data."""
+    path: str  # file or folder below the data
     truth: str
-    errors: Callable[[Run, Path], PoseErrors] | None = None
-    """Of a run; None: nothing is known."""
+    errors: Callable[[Run, Path], PoseErrors] | None = None  # of a run; None: nothing is known
 
 
 def _relations(name: str) -> Callable[[Run, Path], PoseErrors]:

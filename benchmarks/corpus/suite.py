@@ -27,8 +27,7 @@ class Door:
 
     start_m: float
     end_m: float
-    height_m: float
-    """Of its lintel above the floor, m."""
+    height_m: float  # of its lintel above the floor, m
 
     @property
     def width_m(self) -> float:
@@ -44,8 +43,7 @@ class SuiteRoom:
     y0: float
     x1: float
     y1: float
-    door: Door | None = None
-    """The doorway to the corridor; None for the corridor itself."""
+    door: Door | None = None  # the doorway to the corridor; None for the corridor itself
 
     @property
     def door_x(self) -> float:
@@ -74,14 +72,10 @@ class Suite:
     """The truth of a suite."""
 
     corridor: SuiteRoom
-    rooms: tuple[SuiteRoom, ...]
-    """Those above the corridor, which is along x, first, each by ascending x."""
-    wall_m: float
-    """Thickness of the walls between corridor and rooms, m."""
-    partition_m: float
-    """Thickness of the walls between rooms, m."""
-    height_m: float
-    """Of the ceiling above the floor, m."""
+    rooms: tuple[SuiteRoom, ...]  # those above the corridor, which is along x, first, each by ascending x
+    wall_m: float  # thickness of the walls between corridor and rooms, m
+    partition_m: float  # thickness of the walls between rooms, m
+    height_m: float  # of the ceiling above the floor, m
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, *, rooms_a_side: int = 2) -> Suite:

@@ -125,7 +125,6 @@ def failed(rows: Sequence[Row]) -> int:
 
 
 def digits(value: Any) -> str:
-    """A value in few digits."""
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 

@@ -24,7 +24,6 @@ def poses_of(clouds, voxel_m):
 
 
 def main(path, voxel_m, repeats):
-    """Print the row."""
     with np.load(path) as archive:
         clouds = archive["clouds"]
     work, score = lambda: poses_of(clouds, float(voxel_m)), lambda poses: {"positions": poses[:, :3, 3].tolist()}

@@ -24,8 +24,7 @@ CLEAR_M = 0.55
 class Roof:
     """A ceiling that is at each place the lowest of some planes z = a + b x + c y."""
 
-    planes: FloatArray
-    """Rows (a, b, c), one or two, shape (P, 3)."""
+    planes: FloatArray  # rows (a, b, c), one or two, shape (P, 3)
 
     @classmethod
     def flat(cls, height_m: float) -> Roof:

@@ -37,26 +37,19 @@ class Drive:
     """A recorded drive, what its user says of it, and the truth."""
 
     recipe: Recipe
-    level: bool
-    """Whether the robot stays on one floor."""
+    level: bool  # whether the robot stays on one floor
     log: Log
-    rig: Rig
-    """What the user says of the robot; not always true."""
-    truth: Truth
-    """True poses at every scan and reading, planes and labels."""
-    prior: PriorMap | None = None
-    """A map from before, in the frame of the truth, unless it is of another building."""
-    world: PolygonWorld | None = None
-    """The building; None: nobody needs it."""
-    elsewhere: PolygonWorld | None = None
-    """Another building."""
+    rig: Rig  # what the user says of the robot; not always true
+    truth: Truth  # true poses at every scan and reading, planes and labels
+    prior: PriorMap | None = None  # a map from before, in the frame of the truth, unless it is of another building
+    world: PolygonWorld | None = None  # the building; None: nobody needs it
+    elsewhere: PolygonWorld | None = None  # another building
 
 
 Disturbance = Callable[[Drive, np.random.Generator], Drive]
 
 
 def none(given: Drive, rng: np.random.Generator) -> Drive:
-    """Nothing is wrong."""
     return given
 
 

@@ -76,8 +76,7 @@ class Walker:
     """Somebody who walks up and down the robot's way, to its left, from a place on it at time 0."""
 
     start_m: float
-    speed_m_per_s: float
-    """Along the way, m/s; negative: toward its start."""
+    speed_m_per_s: float  # along the way, m/s; negative: toward its start
     beside_m: float
 
     def places(self, path: Path, times_s: FloatArray) -> FloatArray:

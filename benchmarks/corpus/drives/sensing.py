@@ -30,15 +30,11 @@ class Sensing:
     """One sensor on the robot, as it really is."""
 
     name: str
-    sensor: Sensor
-    """What it is; its sigma is the true one, unless the beams err by depth."""
+    sensor: Sensor  # what it is; its sigma is the true one, unless the beams err by depth
     beams: Beams
-    every_m: float
-    """Way between two scans, m."""
-    late_m: float = 0.0
-    """Way before the first scan, m."""
-    by_depth: bool = False
-    """Whether the noise grows with depth, as of a structured-light camera."""
+    every_m: float  # way between two scans, m
+    late_m: float = 0.0  # way before the first scan, m
+    by_depth: bool = False  # whether the noise grows with depth, as of a structured-light camera
 
     def read(self, ranges: FloatArray, rng: np.random.Generator) -> FloatArray:
         """What it reads of exact ranges (S, F B), m; NaN = no return."""
