@@ -19,7 +19,7 @@ from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Mission, simulate_mission
 from tests.slam.commands import refused
-from tests.slam.scenes import drive, run_of
+from tests.slam.scenes import drive, room_planes, run_of
 
 STRICT = SlamConfig(keyframes=KeyframeConfig(strict=True))
 
@@ -29,13 +29,7 @@ def hall() -> Mission:
     return simulate_mission("hall", n_scans=4, seed=0)
 
 
-@pytest.fixture(scope="module")
-def room() -> Mission:
-    return simulate_mission("room", n_scans=120, seed=0)
-
-
 def with_events(mission: Mission, change) -> Log:
-    """The mission's log with its 3D scans (or all events) changed: a list of events for each."""
     events = [after for k, event in enumerate(mission.log.events) for after in change(k, event)]
     return replace(mission.log, events=events)
 
@@ -45,31 +39,16 @@ def without(log: Log, sensor: str, after_ns: int = -1) -> Log:
     return replace(log, events=kept)
 
 
-@pytest.mark.parametrize("part", ["plane", "motion"])
-def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
-    scene, wrong = drive(0, count=4), np.diag([1e-4, 1e-4, -1e-4])
-    slam, good = run_of(scene.keyframes[:2]), scene.keyframes[2]
-    if part == "plane":
-        first = good.observations[0]
-        assert isinstance(first, PlaneObservation)
-        seen = PlaneObservation(replace(first.plane, covariance=np.diag([1e-4, 1e-4, 1e-4])))
-        object.__setattr__(seen.plane, "covariance", wrong)
-        bad = replace(good, observations=[seen, *good.observations[1:]])
-        problem = r"keyframe.observations\[0\].plane.covariance: expected a positive definite covariance, got the eigen"
-    else:
-        assert good.motion is not None
-        bad = replace(good, motion=replace(good.motion, covariance=wrong))
-        problem = "keyframe.motion.covariance: expected a positive definite covariance, got the eigenvalue -0.0001"
-    with pytest.raises(ValueError, match=problem):
-        slam.add_keyframe(bad)
-    assert len(slam.trajectory) == 2
-    run_of(scene.keyframes[2:], slam)
-    np.testing.assert_array_equal(slam.trajectory.poses, run_of(scene.keyframes).trajectory.poses)
+INDEFINITE, NOT_DEFINITE = np.diag([1e-4, 1e-4, -1e-4]), "covariance: expected a positive definite covariance, got the "
+SEEN = PlaneObservation(room_planes()[0])
+object.__setattr__(SEEN.plane, "covariance", INDEFINITE)  # whoever makes a plane is refused this one
 
 
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
+        ({"observations": [SEEN]}, rf"keyframe.observations\[0\].plane.{NOT_DEFINITE}eigenvalue"),
+        ({"covariance": INDEFINITE}, f"keyframe.motion.{NOT_DEFINITE}eigenvalue -0.0001"),
         ({"stamp_ns": 1.5}, "keyframe.stamp_ns: expected whole nanoseconds, got 1.5"),
         ({"observations": None}, "keyframe.observations: expected a Sequence, got NoneType"),
         ({"observations": [1]}, r"keyframe.observations\[0\]: expected a plane or a line that was seen, got int"),
@@ -79,17 +58,17 @@ def test_a_covariance_that_is_none_is_refused_and_leaves_no_trace(part: str):
         ({"covariance": np.array([[1.0, 5.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])}, "not symmetric"),
     ],
 )
-def test_what_is_no_keyframe_is_refused_in_one_sentence(change: dict[str, Any], problem: str):
-    first, second = drive(0, count=2).keyframes
-    assert second.motion is not None
+def test_what_is_no_keyframe_is_refused_in_one_sentence_and_leaves_no_trace(change: dict[str, Any], problem: str):
+    frames = drive(0, count=4).keyframes
+    slam, good = run_of(frames[:2]), frames[2]
+    assert good.motion is not None
     if "covariance" in change:
-        change = {"motion": replace(second.motion, **change)}
-    slam = PlaneSlam()
-    slam.add_keyframe(first)
+        change = {"motion": replace(good.motion, **change)}
     with pytest.raises(ValueError, match=problem):
-        slam.add_keyframe(replace(second, **change))
-    slam.add_keyframe(second)
+        slam.add_keyframe(replace(good, **change))
     assert len(slam.trajectory) == 2
+    run_of(frames[2:], slam)
+    np.testing.assert_array_equal(slam.trajectory.poses, run_of(frames).trajectory.poses)
 
 
 @pytest.mark.parametrize(
@@ -137,14 +116,10 @@ def test_a_cloud_that_cannot_be_used_is_counted_and_ends_a_strict_run(hall: Miss
     run = run_slam(log, hall.rig, SlamConfig())
     assert len(run.trajectory) == 4
     (warning,) = [one for one in warnings_of(run) if "could not be used" in one]
-    assert warning.startswith("1 scan could not be used: at")
+    assert warning.startswith("1 scan could not be used: at") and skipped([]) == []
+    assert skipped(["at 1.0 s: a", "at 2.0 s: b"]) == ["2 scans could not be used; the first: at 1.0 s: a"]
     with pytest.raises(ValueError):
         run_slam(log, hall.rig, STRICT)
-
-
-def test_scans_that_could_not_be_used_are_counted_in_one_sentence():
-    assert skipped([]) == []
-    assert skipped(["at 1.0 s: a", "at 2.0 s: b"]) == ["2 scans could not be used; the first: at 1.0 s: a"]
 
 
 def test_scans_without_planes_only_move(hall: Mission):
@@ -156,7 +131,8 @@ def test_scans_without_planes_only_move(hall: Mission):
     assert any("information only from odometry at 3 of 3 keyframes" in one for one in warnings_of(run))
 
 
-def test_a_silent_sensor_is_named(room: Mission):
+def test_a_silent_sensor_is_named():
+    room = simulate_mission("room", n_scans=120, seed=0)
     assert silences(room.log, room.rig) == []
     never = without(room.log, VERTICAL)
     assert silences(never, room.rig) == [f"sensor '{VERTICAL}' is silent: no scan of it in the log"]

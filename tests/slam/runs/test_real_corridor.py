@@ -16,37 +16,31 @@ def run() -> Run:
     return run_slam(*load(needs("3dtk_corridor")), SlamConfig())
 
 
-def largest(run: Run, normal: list[float], near_d: tuple[float, float]) -> MapPlane:
-    """The landmark of most points that faces along `normal` (to 15 deg) at such a distance from the first scan."""
-    found = [
-        plane
-        for plane in run.planes
-        if plane.plane.normal @ np.array(normal) > np.cos(np.deg2rad(15.0)) and near_d[0] < -plane.plane.d < near_d[1]
-    ]
-    assert found, f"no plane that faces {normal}"
+#: Normals of the corridor's planes, and from where to where their distances from the first scan may be, m.
+SIDES = {
+    "floor": ([0.0, 0.0, 1.0], 0.2, 0.6),
+    "ceiling": ([0.0, 0.0, -1.0], 1.8, 2.2),
+    "right": ([0.0, 1.0, 0.0], 0.8, 1.1),
+    "left": ([0.0, -1.0, 0.0], 1.2, 1.6),
+}
+
+
+def largest(run: Run, side: str) -> MapPlane:
+    """The landmark of most points that faces as a side does (to 15 deg), at such a distance."""
+    (normal, near, far), least = SIDES[side], np.cos(np.deg2rad(15.0))
+    found = [one for one in run.planes if one.plane.normal @ normal > least and near < -one.plane.d < far]
     return max(found, key=lambda plane: plane.plane.n_points)
 
 
-def angle_deg(first: MapPlane, second: MapPlane) -> float:
-    return float(np.rad2deg(np.arccos(min(1.0, abs(float(first.plane.normal @ second.plane.normal))))))
-
-
 def test_floor_ceiling_and_walls_are_single_landmarks_seen_from_all_three_scans(run: Run):
-    for normal, near_d in (
-        ([0.0, 0.0, 1.0], (0.2, 0.6)),
-        ([0.0, 0.0, -1.0], (1.8, 2.2)),
-        ([0.0, 1.0, 0.0], (0.8, 1.1)),
-        ([0.0, -1.0, 0.0], (1.2, 1.6)),
-    ):
-        assert largest(run, normal, near_d).observations == 3
+    assert [largest(run, side).observations for side in SIDES] == [3] * 4
 
 
 def test_height_and_width_of_the_corridor(run: Run):
     """The README of the data: 2.42 m and 2.39 m. Distances are sums of Hesse distances from the first scan."""
-    floor, ceiling = largest(run, [0.0, 0.0, 1.0], (0.2, 0.6)), largest(run, [0.0, 0.0, -1.0], (1.8, 2.2))
-    right, left = largest(run, [0.0, 1.0, 0.0], (0.8, 1.1)), largest(run, [0.0, -1.0, 0.0], (1.2, 1.6))
-    assert abs(-floor.plane.d - ceiling.plane.d - 2.42) < 0.02 and angle_deg(floor, ceiling) < 0.5
-    assert abs(-right.plane.d - left.plane.d - 2.39) < 0.02 and angle_deg(right, left) < 0.5
+    for pair, wide_m in ((("floor", "ceiling"), 2.42), (("right", "left"), 2.39)):
+        one, other = (largest(run, side).plane for side in pair)
+        assert abs(-one.d - other.d - wide_m) < 0.02 and -(one.normal @ other.normal) > np.cos(np.deg2rad(0.5))
 
 
 def test_poses_are_as_near_to_a_registration_as_two_registrations_are_to_each_other(run: Run):

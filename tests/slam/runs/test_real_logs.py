@@ -32,27 +32,11 @@ def loop5() -> Run:
     return run_slam(*load(needs("loop5/loop5.clf.gz")), SlamConfig())
 
 
-@pytest.fixture(scope="module")
-def corridors(loop5) -> PlaneSlam:
-    return loop5.slam
-
-
-def ends_of(slam: PlaneSlam, landmark_id: int) -> np.ndarray:
-    """Ends of what was seen of a wall, in the world, shape (2, 2)."""
-    frame = slam.landmarks.placed(landmark_id).world_T_plane
-    corners = shapely.get_coordinates(slam.landmarks[landmark_id].outline) @ frame[:2, :2].T + frame[:2, 3]
-    along = corners @ frame[:2, 0]
-    return corners[[np.argmin(along), np.argmax(along)]]
-
-
-def test_the_corridor_loop_closes(corridors):
+def test_the_corridor_loop_closes(loop5):
     """A wall of the first corridor is the same landmark at the end; with one side of it or both the map is the same."""
-    again = [
-        landmark
-        for landmark in corridors.landmarks
-        if landmark.sightings[0].keyframe < FIRST and landmark.sightings[-1].keyframe > LAST
-    ]
-    assert again and max(abs(corridors.landmarks.placed(landmark.id).normal[1]) for landmark in again) > 0.9
+    known = loop5.slam.landmarks
+    again = [one for one in known if one.sightings[0].keyframe < FIRST and one.sightings[-1].keyframe > LAST]
+    assert again and max(abs(known.placed(one.id).normal[1]) for one in again) > 0.9
 
 
 def test_odometry_alone_misses_the_start_corridor(loop5):
@@ -63,19 +47,19 @@ def test_odometry_alone_misses_the_start_corridor(loop5):
     assert odometry > 30.0
 
 
-def test_the_corridors_are_square_and_few_walls_are_double(corridors):
+def test_the_corridors_are_square_and_few_walls_are_double(loop5):
     """Long walls of a rectangular building differ by multiples of 90 deg."""
-    walls = [one for one in corridors.landmarks if one.n_keyframes >= 5]
-    long = [one for one in walls if np.linalg.norm(np.subtract(*ends_of(corridors, one.id))) > 6.0]
-    normals = np.array([corridors.landmarks.placed(one.id).normal for one in long])
+    known = loop5.slam.landmarks
+    long = [one for one in known if one.n_keyframes >= 5 and np.ptp(shapely.get_coordinates(one.outline)[:, 0]) > 6.0]
+    normals = np.array([known.placed(one.id).normal for one in long])
     angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) * 4.0
     mean = np.rad2deg(np.angle(np.exp(1j * np.deg2rad(angles)).mean()))
     spread = np.abs((angles - mean + 180.0) % 360.0 - 180.0) / 4.0
-    assert len(long) >= 5 and spread.max() < 5.0 and len(corridors.landmarks) <= 50
+    assert len(long) >= 5 and spread.max() < 5.0 and len(known) <= 50
 
 
-def test_the_audit_finds_the_covariances_honest(corridors):
-    assert_honest(corridors, 250)
+def test_the_audit_finds_the_covariances_honest(loop5):
+    assert_honest(loop5.slam, 250)
 
 
 @pytest.mark.parametrize(
