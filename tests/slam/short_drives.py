@@ -8,16 +8,30 @@ import numpy as np
 from benchmarks.corpus.drives import Drive, Recipe, make_drive
 from slam.config import SlamConfig
 from slam.runs.slam_run import Run, run_slam
+from slam.sensors.log import Event, Log, OdometryReading
 from spplanes._check import FloatArray
+
+
+def until(log: Log, end_ns: int) -> Log:
+    """Its beginning, up to a time."""
+    return replace(log, events=[event for event in log.events if event.stamp_ns <= end_ns])
+
+
+def with_jump(log: Log, at_ns: int, off: FloatArray) -> Log:
+    """With readings of the odometry moved from a time on, by a transform (4, 4) of their world."""
+
+    def moved(event: Event) -> Event:
+        jumped = isinstance(event, OdometryReading) and event.stamp_ns >= at_ns
+        return replace(event, odom_T_body=off @ event.odom_T_body) if jumped else event
+
+    return replace(log, events=[moved(event) for event in log.events], notes=[])
 
 
 @cache
 def mapped_beginning(name: str, seed: int, n_scans: int | None = None) -> tuple[Run, FloatArray]:
     """A run of the first scans of a drive, or all, and the errors of its keyframes against the first one, (N, 4, 4)."""
     drive = make_drive(Recipe.parse(name), seed)
-    end = drive.log.scans()[:n_scans][-1].stamp_ns
-    events = [event for event in drive.log.events if event.stamp_ns <= end]
-    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
+    run = run_slam(until(drive.log, drive.log.scans()[:n_scans][-1].stamp_ns), drive.rig, SlamConfig())
     return run, errors_of(run, drive)
 
 

@@ -13,31 +13,24 @@ from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import planar_transform
 from slam.sensors.log import LaserScan, OdometryReading
 from slam.sensors.rig import Rig, Sensor
-from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation import HORIZONTAL, paper_rig, simulate_mission
 from slam.simulation.mission import Mission
+from tests.slam.scenes import SURE_WHEELS
 
 SECOND_NS = 1_000_000_000
-#: Wheels that hardly err: what is left in the planes is the sweep.
-WHEELS = OdometryNoise(
-    along_sigma_m_per_sqrt_m=1e-5,
-    lateral_sigma_m_per_sqrt_m=1e-5,
-    heading_sigma_rad_per_sqrt_m=1e-6,
-    heading_sigma_rad_per_sqrt_rad=1e-6,
-    slip_sigma_m_per_sqrt_rad=1e-6,
-)
 
 
 def with_sweep(sweep_s: float) -> Rig:
+    """With sure wheels: what is left in the planes is the sweep."""
     rig = paper_rig()
     sensors = {name: sensor.model_copy(update={"sweep_s": sweep_s}) for name, sensor in rig.sensors.items()}
-    return rig.model_copy(update={"sensors": sensors, "odometry": WHEELS})
+    return rig.model_copy(update={"sensors": sensors, "odometry": SURE_WHEELS})
 
 
 def turning_track() -> OdometryTrack:
     times = np.linspace(0.0, 1.0, 21)
     readings = [OdometryReading(round(t * SECOND_NS), planar_transform(0.5 * t, 0.1 * t, 0.4 * t)) for t in times]
-    return OdometryTrack(readings, WHEELS)
+    return OdometryTrack(readings, SURE_WHEELS)
 
 
 def swept_scan() -> tuple[Sensor, LaserScan]:

@@ -27,10 +27,10 @@ from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
 from tests.slam.laser_floors import PATCH_M, Drive, FloorPlan, Wheels, cast, drive
+from tests.slam.short_drives import errors_of as drive_errors
+from tests.slam.short_drives import until
 
-GAP = 5
-"""Scans from one end of a motion that is judged to the other: half a metre, or half a radian."""
-
+GAP = 5  # scans from one end of a motion that is judged to the other: half a metre, or half a radian
 LASER = Sensor(kind="line", range_sigma_m=0.01, range_max_m=8.0)
 NO_SLIPS = Wheels(n_slips=0)
 
@@ -363,13 +363,12 @@ def test_without_wheels_the_body_goes_on_for_a_step_beyond_the_first_scan_and_th
 def test_what_matched_scans_know_is_not_asked_of_the_planes():
     """Two lasers and no odometry in a corridor: its walls alone had moved the first keyframes back by 2.4 m."""
     truth = make_drive(Recipe.parse("people/paper/absent/none"), 900001)
-    first = truth.log.scans()[0].stamp_ns
-    scans = [scan for scan in truth.log.scans() if scan.stamp_ns <= first + 12_000_000_000]
-    run = run_slam(replace(truth.log, events=scans), truth.rig, SlamConfig())
-    true = truth.truth.poses_at(run.trajectory.stamps_ns)
-    errors = inverse(true[0]) @ true - inverse(run.trajectory.poses[0]) @ run.trajectory.poses
+    log = until(truth.log, truth.log.scans()[0].stamp_ns + 12_000_000_000)
+    run = run_slam(log, truth.rig, SlamConfig())
+    errors = drive_errors(run, truth)
     assert len(errors) > 8 and np.abs(errors[:, :2, 3]).max() < 0.02
-    last = inverse(true[0]) @ truth.truth.poses_at(run.scan_trajectory.stamps_ns[-1:])[0]
+    start, end = truth.truth.poses_at([run.trajectory.stamps_ns[0], run.scan_trajectory.stamps_ns[-1]])
+    last = inverse(start) @ end
     found = inverse(run.trajectory.poses[0]) @ run.scan_trajectory.poses[-1]
     assert np.linalg.norm((last - found)[:2, 3]) < 0.02
 
@@ -377,12 +376,9 @@ def test_what_matched_scans_know_is_not_asked_of_the_planes():
 def test_a_level_laser_beside_a_push_broom_one_measures_the_motion_too():
     """By wheels alone, three times worse than stated, such drives were 0.2 and 1.6 m off."""
     truth = make_drive(Recipe.parse("hall/paper/worse3"), 430002)
-    end = truth.log.events[len(truth.log.events) // 4].stamp_ns
-    log = replace(truth.log, events=[event for event in truth.log.events if event.stamp_ns <= end])
+    log = until(truth.log, truth.log.events[len(truth.log.events) // 4].stamp_ns)
     assert isinstance(made_track(log, truth.rig, SlamConfig()), LaserTrack)
-    run = run_slam(log, truth.rig, SlamConfig())
-    true = truth.truth.world_T_body[np.searchsorted(truth.truth.stamps_ns, run.trajectory.stamps_ns)]
-    off = inverse(true[0]) @ true @ np.linalg.inv(inverse(run.trajectory.poses[0]) @ run.trajectory.poses)
+    off = drive_errors(run_slam(log, truth.rig, SlamConfig()), truth)
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.03
     lean = {"mount": Mount(rpy_deg=(0.0, 10.0, 0.0))}
     tilted = {name: sensor.model_copy(update=lean) for name, sensor in truth.rig.of_kind("line").items()}
@@ -419,7 +415,7 @@ def test_wheels_worse_than_stated_are_not_taken_for_slipping_in_the_first_steps(
     given = make_drive(Recipe.parse(name), seed)
     stamps = [scan.stamp_ns for scan in given.log.scans() if isinstance(scan, LaserScan)]
     end = next(one for one in given.truth.stamps_ns if one >= stamps[0] + 3_000_000_000)
-    log = replace(given.log, events=[event for event in given.log.events if event.stamp_ns <= end])
+    log = until(given.log, end)
     track = made_track(log, given.rig, SlamConfig())
     scans = [scan.stamp_ns for scan in log.scans() if given.rig.sensors[scan.sensor].kind == "line"]
     found = inverse(track.poses_at(scans[:1])[0]) @ track.poses_at(scans)

@@ -1,6 +1,5 @@
 """Odometry that begins anew, or is set to another place: the body went on as before, as surely as it does so."""
 
-from dataclasses import replace
 from itertools import accumulate
 
 import gtsam
@@ -14,24 +13,11 @@ from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import OdometryReading
-from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
-from tests.slam.short_drives import errors_of
+from tests.slam.scenes import SURE_WHEELS
+from tests.slam.short_drives import errors_of, until, with_jump
 from tests.statistics import assert_mean_in_band
 
-#: Nothing but a jump makes these wheels err.
-EXACT = OdometryNoise(
-    along_sigma_m_per_sqrt_m=1e-9,
-    lateral_sigma_m_per_sqrt_m=1e-9,
-    heading_sigma_rad_per_sqrt_m=1e-9,
-    heading_sigma_rad_per_sqrt_rad=1e-9,
-    slip_sigma_m_per_sqrt_rad=1e-9,
-    floor_m=1e-6,
-    floor_rad=1e-6,
-    z_sigma_m=1e-6,
-    roll_sigma_rad=1e-6,
-    pitch_sigma_rad=1e-6,
-)
 TICK_NS, AT = 50_000_000, 40
 #: Usual twist of a step, GTSAM order, and how much steps differ from it, on the floor and in space.
 STEP = (0.0, 0.0, 0.02, 0.05, 0.0, 0.0)
@@ -48,16 +34,20 @@ def driven(rng: np.random.Generator, kind: str, n_steps: int = 80) -> FloatArray
     return np.array(poses)
 
 
+def jump_at(there: FloatArray, jump: tuple[float, ...] | None) -> FloatArray:
+    """By what poses of the odometry are off after a jump to a pose; None: it begins anew there."""
+    return inverse(there) if jump is None else there @ gtsam.Pose3.Expmap(np.array(jump)).matrix() @ inverse(there)
+
+
 def jumped(poses: FloatArray, jump: tuple[float, ...] | None, at: int = AT) -> FloatArray:
-    """The same as odometry says it that jumps after a pose; None: it begins anew there."""
-    there = poses[at + 1]
-    off = inverse(there) if jump is None else there @ gtsam.Pose3.Expmap(np.array(jump)).matrix() @ inverse(there)
-    return np.concatenate((poses[: at + 1], off @ poses[at + 1 :]))
+    """The same as odometry says it that jumps after a pose."""
+    return np.concatenate((poses[: at + 1], jump_at(poses[at + 1], jump) @ poses[at + 1 :]))
 
 
 def track_of(poses: FloatArray, stamps_ns: np.ndarray | None = None) -> OdometryTrack:
+    """By wheels that nothing but a jump makes err."""
     stamps = np.arange(len(poses)) * TICK_NS if stamps_ns is None else stamps_ns
-    return OdometryTrack([OdometryReading(int(t), pose) for t, pose in zip(stamps, poses, strict=True)], EXACT)
+    return OdometryTrack([OdometryReading(int(t), pose) for t, pose in zip(stamps, poses, strict=True)], SURE_WHEELS)
 
 
 def nees(motion: Motion, true: FloatArray) -> float:
@@ -120,12 +110,8 @@ def test_a_push_broom_robot_is_where_it_would_be_without(jump: str) -> None:
     """Nothing but wheels places one slice beside another: it was 1.5 to 10 m off, and the run was called sound."""
     drive = make_drive(Recipe.parse("office/pushbroom/good"), 8801)
     stamps = [scan.stamp_ns for scan in drive.log.scans()]
-    end_ns, after_ns = stamps[len(stamps) // 3], stamps[len(stamps) // 5]
-    events = [event for event in drive.log.events if event.stamp_ns <= end_ns]
-    readings = [event for event in events if isinstance(event, OdometryReading)]
-    at = sum(reading.stamp_ns < after_ns for reading in readings)
-    poses = iter(jumped(np.array([reading.odom_T_body for reading in readings]), JUMPS[jump], at))
-    events = [replace(e, odom_T_body=next(poses)) if isinstance(e, OdometryReading) else e for e in events]
-    run = run_slam(replace(drive.log, events=events, notes=[]), drive.rig, SlamConfig())
+    log, after_ns = until(drive.log, stamps[len(stamps) // 3]), stamps[len(stamps) // 5]
+    at = next(reading for reading in log.odometry if reading.stamp_ns > after_ns)
+    run = run_slam(with_jump(log, at.stamp_ns, jump_at(at.odom_T_body, JUMPS[jump])), drive.rig, SlamConfig())
     assert np.linalg.norm(errors_of(run, drive)[:, :3, 3], axis=1).max() < 0.05
     assert sum("odometry jumps at" in note for note in run.log.notes) == 1

@@ -4,8 +4,6 @@ The first 330 of its 910 scans, which take an eighth of the time: the rest drive
 drive of `python -m benchmarks corpus`.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,15 +15,14 @@ from slam.io.trajectories import read_tum
 from slam.runs.slam_run import Run, run_slam
 from tests.slam.real_data import needs
 from tests.slam.runs.test_real_logs import assert_honest
+from tests.slam.short_drives import until
 
 
 @pytest.fixture(scope="module")
 def intel() -> Run:
     """The Intel Research Lab, as mapped at first: all of it is doubtful then, and its repair takes as long again."""
     log, rig = load(needs("intel/intel.clf.gz"))
-    end = log.scans()[329].stamp_ns
-    start = replace(log, events=[event for event in log.events if event.stamp_ns <= end])
-    return run_slam(start, rig, SlamConfig(), repair=False)
+    return run_slam(until(log, log.scans()[329].stamp_ns), rig, SlamConfig(), repair=False)
 
 
 def test_the_audit_finds_the_covariances_honest(intel):

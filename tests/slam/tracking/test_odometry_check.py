@@ -14,14 +14,14 @@ from slam.frontend.scan_surfaces import ON_NO_PLANE, ON_PLANE
 from slam.geometry.frames import inverse
 from slam.registration import relocalization
 from slam.runs.slam_run import Run, run_slam
-from slam.sensors.log import CloudScan, OdometryReading
+from slam.sensors.log import CloudScan
 from slam.tracking import odometry_check
 from slam.tracking.odometry_check import laid_by_planes, planes_confirm
 from spplanes import Plane
 from spplanes._check import FloatArray
 from tests.slam.depth_scenes import with_widths
 from tests.slam.registration.test_plane_registration import LONG, body, hall, measured, wall
-from tests.slam.short_drives import errors_of, mapped_beginning
+from tests.slam.short_drives import errors_of, mapped_beginning, until, with_jump
 
 #: Standard deviations of odometry over half a metre: (x, y, heading), and (z, roll, pitch).
 SIGMAS, UPRIGHT = np.array([0.014, 0.007, 0.006]), (1e-3, 1e-3, 1e-3)
@@ -34,13 +34,13 @@ def odometry(off: FloatArray) -> Motion:
     return Motion(inverse(FIRST) @ SECOND @ inverse(body(0.0, 0.0, 0.0)) @ body(*off), np.diag(SIGMAS**2), UPRIGHT)
 
 
-def elements_of(planes: list[Plane], sigma: float = 0.005) -> FloatArray:
+def elements_of(planes: list[Plane]) -> FloatArray:
     """Surface elements at the corners of planes, in the frame that these are in."""
     rows = []
     for plane in planes:
         assert plane.outline is not None
         points = plane.centre + np.array(plane.outline.exterior.coords) @ plane.frame[:3, :2].T
-        rows += [(*point, *plane.normal, sigma, ON_PLANE) for point in points]
+        rows += [(*point, *plane.normal, 0.005, ON_PLANE) for point in points]
     return with_widths(np.array(rows))
 
 
@@ -181,14 +181,9 @@ def test_a_slip_of_a_few_sigmas_shifts_nothing(aside_m: float) -> None:
 def mapped_with_jump(drive: Drive, every: int, jump: tuple[float, float, float] | None) -> tuple[Run, FloatArray]:
     """A run of 14 clouds, of every so many returns, whose odometry jumps at the eighth, or begins anew; its errors."""
     stamps = [scan.stamp_ns for scan in drive.log.scans()[:14]]
-    events, readings = [], {e.stamp_ns: e.odom_T_body for e in drive.log.events if isinstance(e, OdometryReading)}
-    at = readings[stamps[7]]
+    at = next(reading.odom_T_body for reading in drive.log.odometry if reading.stamp_ns == stamps[7])
     off = inverse(at) if jump is None else at @ inverse(body(0.0, 0.0, 0.0)) @ body(*jump) @ inverse(at)
-    for event in drive.log.events:
-        if isinstance(event, CloudScan):
-            event = replace(event, points=event.points[::every])
-        elif isinstance(event, OdometryReading) and event.stamp_ns >= stamps[7]:
-            event = replace(event, odom_T_body=off @ event.odom_T_body)
-        events += [event] if event.stamp_ns <= stamps[-1] else []
-    run = run_slam(replace(drive.log, events=events), drive.rig, SlamConfig())
+    log = with_jump(until(drive.log, stamps[-1]), stamps[7], off)
+    clouds = [replace(e, points=e.points[::every]) if isinstance(e, CloudScan) else e for e in log.events]
+    run = run_slam(replace(log, events=clouds), drive.rig, SlamConfig())
     return run, errors_of(run, drive)

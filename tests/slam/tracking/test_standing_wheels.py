@@ -11,6 +11,7 @@ from benchmarks.corpus.drives import Recipe, make_drive
 from slam.config import SlamConfig
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, Log, OdometryReading
+from tests.slam.short_drives import until
 
 #: So many scans of a body that stands, half a second apart.
 N_STANDING, STEP_NS = 12, 500_000_000
@@ -44,7 +45,7 @@ def test_a_body_that_stands_is_believed(name: str, passers: float) -> None:
     drive, rng = make_drive(Recipe.parse(name), 180005), np.random.default_rng(0)
     (sensor,) = drive.rig.sensors.values()
     at = [one for one in drive.log.scans() if isinstance(one, CloudScan)][5]
-    events = [event for event in drive.log.events if event.stamp_ns <= at.stamp_ns]
+    events = until(drive.log, at.stamp_ns).events
     [*_, there] = [event for event in events if isinstance(event, OdometryReading)]
     ranges = np.linalg.norm(at.points, axis=-1, keepdims=True)
     for stamp_ns in at.stamp_ns + STEP_NS * np.arange(1, N_STANDING + 1):
