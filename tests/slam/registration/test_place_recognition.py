@@ -13,16 +13,16 @@ FULL = np.radians(np.arange(-180, 180, 0.5))
 SIGMA = 0.01
 
 
-def random_place(rng, n=16, size=8.0):
+def random_place(rng, n=16):
     """Ends of walls in four directions and a few others, shape (n, 2, 2); each is seen from one side."""
-    middles = rng.uniform(-size / 2, size / 2, (n, 2))
+    middles = rng.uniform(-4.0, 4.0, (n, 2))
     turns = np.where(rng.random(n) < 0.2, rng.uniform(-1, 1, n), 0)
     angles = rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], n) + turns
     half = rng.uniform(0.5, 2.0, n)[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
     return np.stack((middles - half, middles + half), axis=1)
 
 
-def see(place, pose, rng, kept=1.0, sigma=0.005):
+def see(place, pose, rng, kept=1.0):
     """Walls of a place in the frame of `pose`, each with noise of its own covariance; and which walls they are."""
     seen, walls = np.flatnonzero(rng.random(len(place)) < kept), []
     for segment in place[seen]:
@@ -30,7 +30,7 @@ def see(place, pose, rng, kept=1.0, sigma=0.005):
         along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
         length, middle = np.hypot(*(ends[1] - ends[0])), ends.mean(axis=0) @ along
         jacobian = np.array(((1.0, 0.0), (middle, 1.0)))
-        covariance = jacobian @ np.diag((12 * sigma**2 / length**2, sigma**2)) @ jacobian.T
+        covariance = jacobian @ np.diag((12 * 0.005**2 / length**2, 0.005**2)) @ jacobian.T
         error, alpha = rng.multivariate_normal((0.0, 0.0), covariance), np.arctan2(-along[0], along[1])
         rho = ends[0] @ (np.cos(alpha), np.sin(alpha))
         walls.append(Wall(alpha + error[0], rho + error[1], covariance, ends))
@@ -43,8 +43,8 @@ def error_of(match, pose_a, pose_b):
     return np.array((*(found[:2, 3] - b_T_a[:2, 3]), (turn + np.pi) % (2 * np.pi) - np.pi))
 
 
-def random_pose(rng, reach=2.0):
-    return np.array((*rng.uniform(-reach, reach, 2), rng.uniform(-np.pi, np.pi)))
+def random_pose(rng):
+    return np.array((*rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi)))
 
 
 def test_the_same_place_is_found_and_its_covariance_holds():
@@ -92,20 +92,14 @@ def test_extents_must_overlap():
     assert match_constellations(a, see(place, np.zeros(3), rng)[0]) is not None
 
 
-def views(world, poses, seed=0, angles=FULL):
+def views(world, poses, seed=0):
     rng = np.random.default_rng(seed)
-    ranges = [cast(world, angles, tuple(pose)).ranges + rng.normal(0, SIGMA, angles.size) for pose in poses]
-    return [extract_lines(r, angles, sigma=SIGMA) for r in ranges]
+    ranges = [cast(world, FULL, tuple(pose)).ranges + rng.normal(0, SIGMA, FULL.size) for pose in poses]
+    return [extract_lines(r, FULL, sigma=SIGMA) for r in ranges]
 
 
-CORRIDOR = [
-    [(-9, -1), (-4, -1)],
-    [(-4, -1.1), (0.1, -1.1)],
-    [(0, -1.25), (9, -1.25)],
-    [(9, 1), (1, 1)],
-    [(1, 1.3), (-9, 1.3)],
-    [(-9, 1.45), (-12, 1.45)],
-]
+CORRIDOR = [[(-9, -1), (-4, -1)], [(-4, -1.1), (0.1, -1.1)], [(0, -1.25), (9, -1.25)]]
+CORRIDOR += [[(9, 1), (1, 1)], [(1, 1.3), (-9, 1.3)], [(-9, 1.45), (-12, 1.45)]]
 NICHE = [(0, 0), (3, 0), (3, -1), (5, -1), (5, 0), (7, 0), (7, 5), (4, 5), (4, 4.2), (2.2, 4.2), (2.2, 5), (0, 5)]
 
 

@@ -28,23 +28,19 @@ def corridor() -> FloorPlan:
     return plan
 
 
-def view(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0, range_max: float = 8.0) -> np.ndarray:
+def view(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0) -> np.ndarray:
     """Beams (N, 4) of a full turn from a pose, in the frame of the pose."""
     walls = np.array(plan.walls)
     ranges = cast(walls, np.zeros((len(walls), 256)), np.array(pose), ANGLES)
     ranges += np.random.default_rng(seed).normal(0.0, 0.01, ANGLES.size)
-    scan = LaserScan(0, "laser", np.where(ranges < range_max, ranges, np.nan), ANGLES)
+    scan = LaserScan(0, "laser", np.where(ranges < 8.0, ranges, np.nan), ANGLES)
     return beams_of(scan, scan.ranges, np.eye(4))[0]
-
-
-def raster(plan: FloorPlan, pose: tuple[float, float, float], seed: int = 0) -> Raster:
-    return Raster.of(view(plan, pose, seed), 0.5)
 
 
 @pytest.mark.parametrize("plan", [room, corridor])
 def test_a_block_bounds_all_motions_in_it(plan: Callable[[], FloorPlan]):
     """Also where a point lies beside the raster in the middle of a block, and in the raster at its edge."""
-    a, b = (PlaceView(raster(plan(), pose, seed)) for pose, seed in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
+    a, b = (PlaceView(Raster.of(view(plan(), *look), 0.5)) for look in (((0.3, 0.1, 0.2), 3), ((0.0, 0.0, 0.0), 4)))
     rng, unit = np.random.default_rng(0), np.array((0.5 * CELL_M, 0.5 * CELL_M, 0.02))
     for level in (1, 2, 3, 4):
         blocks = np.column_stack((rng.integers(-160, 160, (400, 2)), rng.integers(-8, 8, 400))).astype(float)

@@ -9,12 +9,8 @@ from shapely import box
 
 from factors.association.observations import PlaneObservation
 from slam import Keyframe, PlaneSlam
-from slam.diagnostics.evidence.coverage import (
-    ambiguity_evidence,
-    assumption_evidence,
-    coverage_evidence,
-    waiting_evidence,
-)
+from slam.diagnostics.evidence import coverage
+from slam.diagnostics.evidence.coverage import assumption_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, agreement, doubled_pairs, stopped_rays
 from slam.diagnostics.verdict import Evidence
 from slam.frontend.odometry import Motion
@@ -30,6 +26,7 @@ from tests.slam.scenes import room_planes
 
 CORRIDOR = [*hall()[:2], *hall()[4:]]  # nothing stands across y
 EVERY_STEP_TOLD: Mapping[int, float] = {}
+UPRIGHT = (1e-3, 1e-3, 1e-3)
 
 
 def driven(
@@ -44,24 +41,17 @@ def driven(
 
     Scans refute wheels at some keyframes, and leave the way along y there open by so much, m.
     """
-    rng, slam, sigmas = np.random.default_rng(0), PlaneSlam(), np.array([sigma, sigma, 0.005])
+    rng, slam = np.random.default_rng(0), PlaneSlam()
     bodies = [body(1.0, 0.3 * k, 0.0) for k in range(10)]
     for k, world_T_body in enumerate(bodies):
         motion, step = None, inverse(bodies[k - 1]) @ world_T_body
+        by_scans = {"returns_a_T_b": step, "returns_covariance": np.diag((30.0, 30.0, 0.01)) ** 2}
         if odometry and k:
-            motion = Motion(step, np.diag(sigmas**2), (1e-3, 1e-3, 1e-3))
+            motion = Motion(step, np.diag((sigma, sigma, 0.005)) ** 2, UPRIGHT)
         if matched and k:
-            wide, told = np.diag((0.2, 0.2, 0.1)) ** 2, np.diag((30.0, 30.0, 0.01)) ** 2
-            motion = Motion(step, wide, (1e-3, 1e-3, 1e-3), returns_a_T_b=step, returns_covariance=told)
+            motion = Motion(step, np.diag((0.2, 0.2, 0.1)) ** 2, UPRIGHT, **by_scans)
         if k in refuted:
-            motion = Motion(
-                step,
-                np.diag((0.15, refuted[k], 0.01)) ** 2,
-                (1e-3, 1e-3, 1e-3),
-                returns_a_T_b=step,
-                returns_covariance=np.diag((30.0, 30.0, 0.01)) ** 2,
-                refuted_a_T_b=step,
-            )
+            motion = Motion(step, np.diag((0.15, refuted[k], 0.01)) ** 2, UPRIGHT, **by_scans, refuted_a_T_b=step)
         seen = [PlaneObservation(plane) for plane in measured(planes, world_T_body, rng)]
         slam.add_keyframe(Keyframe(k * 500_000_000, seen, motion))
     return slam
@@ -91,14 +81,14 @@ def test_a_few_short_assumptions_are_not_what_a_long_way_is_unsure_of() -> None:
 def test_floors_and_ceilings_tell_nothing_of_where_on_the_floor_a_body_is(walls: list[int], blind: int) -> None:
     level = [plane for plane in hall() if abs(plane.normal[2]) > 0.99]
     assert len(level) == 2
-    found = list(coverage_evidence(driven([*level, *(hall()[k] for k in walls)], odometry=True)))
+    found = list(coverage.coverage_evidence(driven([*level, *(hall()[k] for k in walls)], odometry=True)))
     assert [one.size for one in found] == [blind] * bool(blind)
 
 
 def test_places_that_fit_as_well_are_counted_together() -> None:
     def of(*probabilities: float) -> list[Evidence]:
         rivals = {3 + k: Rivals(p, 5.0 + k, np.pi) for k, p in enumerate(probabilities)}
-        return list(ambiguity_evidence(SimpleNamespace(rivals=rivals)))  # type: ignore[arg-type]
+        return list(coverage.ambiguity_evidence(SimpleNamespace(rivals=rivals)))  # type: ignore[arg-type]
 
     assert of() == of(0.0) == of(0.1, 0.1) == []
     [found] = of(0.2, 0.0, 0.5)
@@ -113,7 +103,7 @@ def test_a_loop_that_waits_to_the_end_elsewhere_than_the_map_has_it_is_told() ->
         found = [Proposal(2, 0, PlanarPose(np.array(d), np.eye(3)), k, 2.0) for k, d in enumerate(deltas)]
         loops = [LoopDecision(2, 0, verdict, (), 0.0, 0.0, proposal=one) for one in found]
         run = SimpleNamespace(loops=loops, trajectory=SimpleNamespace(poses=poses))
-        return list(waiting_evidence(run))  # type: ignore[arg-type]
+        return list(coverage.waiting_evidence(run))  # type: ignore[arg-type]
 
     assert of("waiting") == of("waiting", (2.0, 0.05, 0.3)) == of("known", (2.0, 0.4, 0.0)) == []
     [found] = of("waiting", (2.0, 0.05, 0.0), (2.0, 0.4, 0.0))

@@ -53,11 +53,9 @@ def test_windows_measured_by_wheels_with_an_error_of_calibration_are_doubted():
     assert run.slam.calibration.mean.any() and "errors of the odometry add up to" in run.verdict.line
 
 
-@pytest.mark.parametrize(
-    "name, seed", [("office/level/good/backwards", 94001), ("glass/level/biased/backwards", 94003)]
-)
+@pytest.mark.parametrize("name, seed", [("office/level/good", 94001), ("glass/level/biased", 94003)])
 def test_a_laser_mounted_backwards_is_named_though_its_scans_fit_each_other(name: str, seed: int) -> None:
-    drive = make_drive(Recipe.parse(name), seed)
+    drive = make_drive(Recipe.parse(f"{name}/backwards"), seed)
     verdict = run_slam(drive.log, drive.rig, SlamConfig()).verdict
     assert verdict.verdict == "broken" and any("mounted backwards" in reason for reason in verdict.reasons)
 
