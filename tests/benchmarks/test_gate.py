@@ -27,17 +27,11 @@ def figures(**known: dict) -> _gate.Figures:
     return {name: known.get(name, {}) for name in ("time", "apart", "memory", "accuracy")}
 
 
-def test_ratios_are_ours_to_every_other_of_the_same_case():
+def test_ratios_are_ours_to_every_other_of_the_same_case_and_a_growing_mission_gives_its_own():
     time = {"fit: walls, ours to numpy": 0.25, "fit: planes, ours to Open3D": 1.5}
     assert _gate.figures_of("fit", ROWS) == figures(time=time, memory={"fit: walls, ours to numpy": 0.2})
-
-
-def test_a_peer_that_times_itself_is_told_from_one_taken_in_turn():
-    rows = [row("walls", "spplanes", 10.0, 1.0), {**row("walls", "mrob", 20.0, 1.0), "apart": True}]
-    assert _gate.figures_of("fit", rows) == figures(apart={"fit: walls, ours to mrob": 0.5})
-
-
-def test_a_growing_mission_gives_its_own_ratio():
+    timed_itself = [row("walls", "spplanes", 10.0, 1.0), {**row("walls", "mrob", 20.0, 1.0), "apart": True}]
+    assert _gate.figures_of("fit", timed_itself) == figures(apart={"fit: walls, ours to mrob": 0.5})
     tenths = [{"scans": name, "of the first tenth": value} for name, value in (("first", 1.0), ("last", 1.3))]
     assert _gate.figures_of("growth", tenths) == figures(apart={"growth: last": 1.3})
 

@@ -118,10 +118,7 @@ def tree(data: bytes, random: Random) -> bytes:
 
 
 def _collect(found: Any, places: list[tuple[Any, Any]]) -> None:
-    inside = (
-        list(found.items()) if isinstance(found, dict) else list(enumerate(found)) if isinstance(found, list) else ()
-    )
-    for key, value in inside:
+    for key, value in found.items() if isinstance(found, dict) else enumerate(found) if isinstance(found, list) else ():
         places.append((found, key))
         _collect(value, places)
 

@@ -43,6 +43,9 @@ class Numbers:
     def number(self) -> float:
         return float(self.array(1)[0])
 
+    def moments(self, count: int) -> Moments:
+        return Moments.from_points(self.array(count, 3), self.array(count))
+
     def plane(self) -> Plane:
         return Plane(self.array(4, 4), self.array(3, 3), 10)
 
@@ -125,11 +128,9 @@ CALLS: dict[str, Call] = {
     "spplanes.Location.compose": lambda n: n.location().compose(n.location()),
     "spplanes.Location.inverse": lambda n: n.location().inverse(),
     "spplanes.Location.relative": lambda n: n.location().relative(n.location()),
-    "spplanes.Moments.from_points": lambda n: Moments.from_points(n.array(5, 3), n.array(5)).scatter,
-    "spplanes.Moments.merge": lambda n: (
-        Moments.from_points(n.array(3, 3), n.array(3)).merge(Moments.from_points(n.array(3, 3), n.array(3))).scatter
-    ),
-    "spplanes.Moments.plane": lambda n: Moments.from_points(n.array(5, 3), n.array(5)).plane(),
+    "spplanes.Moments.from_points": lambda n: n.moments(5).scatter,
+    "spplanes.Moments.merge": lambda n: n.moments(3).merge(n.moments(3)).scatter,
+    "spplanes.Moments.plane": lambda n: n.moments(5).plane(),
     "spplanes.fit_plane": lambda n: fit_plane(n.array(9, 3), sigma=n.number()),
     "spplanes.fit_plane, scans": lambda n: fit_plane(
         n.array(6, 3), n.covariances(6, 3), scan_index=np.arange(6) % 2, pose_covariances=n.covariances(2, 6)

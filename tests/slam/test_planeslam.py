@@ -11,7 +11,6 @@ from slam import Keyframe, PlaneSlam, SlamConfig
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
 from slam.loop_closure.closing import LoopCloser
-from slam.map.data_association import associate
 from slam.mapping.same_plane import same_plane_chi2
 from slam.planeslam import pose_symbol
 from slam.runs.slam_run import run_slam
@@ -110,18 +109,6 @@ def test_keyframes_out_of_order_are_refused():
         slam.add_keyframe(scene.keyframes[0])
     slam.add_keyframe(scene.keyframes[1])
     assert len(slam.trajectory) == 2
-
-
-def test_an_association_that_hands_on_to_ours_changes_nothing():
-    scene, calls = drive(0), []
-
-    def counted(*state, **how):
-        calls.append(how)
-        return associate(*state, **how)
-
-    plain, other = run_of(scene.keyframes), run_of(scene.keyframes, PlaneSlam(associate=counted))
-    assert len(calls) >= len(scene.keyframes)
-    np.testing.assert_array_equal(other.trajectory.poses, plain.trajectory.poses)
 
 
 def test_a_loop_closer_is_asked_after_every_keyframe():

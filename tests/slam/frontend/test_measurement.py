@@ -102,22 +102,15 @@ def as_part(points: np.ndarray) -> tuple[ScanPart, Plane]:
     return ScanPart(points, noise, np.arange(len(points)), len(points) // 30, plane.frame, sensor()), plane
 
 
-def test_the_pose_error_that_a_scan_shares_is_no_step():
+def test_what_a_scan_shares_and_a_slow_drift_of_the_sensor_are_no_steps():
     rng = np.random.default_rng(3)
-    points = patch(rng)
+    points, drifted = patch(rng), patch(np.random.default_rng(4))
     scan = np.floor(points[:, 0] / 0.1).astype(int)
     points[:, 2] += 0.02 * rng.standard_normal(scan.max() + 1)[scan]
-    plane = fit_plane(points, sigma=SIGMA)
-    assert InPatches(plane, points, isotropic(points), RULES).has_step
-    assert not InPatches(plane, points, isotropic(points), RULES, scan).has_step
-
-
-def test_a_slow_drift_of_the_sensor_is_no_step():
-    points = patch(np.random.default_rng(4))
-    points[:, 2] += 0.03 * np.sin(4.0 * points[:, 0])
-    plane = fit_plane(points, sigma=SIGMA)
-    assert InPatches(plane, points, isotropic(points), RULES).has_step
-    assert not InPatches(plane, points, isotropic(points), RULES, drift_m=np.full(len(points), 0.02)).has_step
+    drifted[:, 2] += 0.03 * np.sin(4.0 * drifted[:, 0])
+    for some, told in ((points, {"scan_index": scan}), (drifted, {"drift_m": np.full(len(drifted), 0.02)})):
+        given = fit_plane(some, sigma=SIGMA), some, isotropic(some), RULES
+        assert InPatches(*given).has_step and not InPatches(*given, **told).has_step
 
 
 def test_chi2_far_beyond_the_noise_and_planes_seen_edge_on_are_refused():

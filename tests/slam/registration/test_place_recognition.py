@@ -6,7 +6,7 @@ import pytest
 from slam.geometry.frames import planar_transform
 from slam.registration.place_recognition import Wall, match_constellations
 from spplanes import extract_lines
-from tests.spplanes.lines.line_world import World, box, cast, polygon, random_corridor, random_room
+from tests.spplanes.lines.line_world import World, cast, polygon, random_corridor, random_room
 from tests.statistics import assert_mean_in_band
 
 FULL = np.radians(np.arange(-180, 180, 0.5))
@@ -100,14 +100,6 @@ def views(world, poses, seed=0):
 
 CORRIDOR = [[(-9, -1), (-4, -1)], [(-4, -1.1), (0.1, -1.1)], [(0, -1.25), (9, -1.25)]]
 CORRIDOR += [[(9, 1), (1, 1)], [(1, 1.3), (-9, 1.3)], [(-9, 1.45), (-12, 1.45)]]
-NICHE = [(0, 0), (3, 0), (3, -1), (5, -1), (5, 0), (7, 0), (7, 5), (4, 5), (4, 4.2), (2.2, 4.2), (2.2, 5), (0, 5)]
-
-
-def test_lines_of_two_scans_of_a_room():
-    world = World(np.concatenate((polygon(NICHE), box(5.5, 3, 0.8, 0.6, 0.5))), np.array([(1.0, 3.5, 0.2)]))
-    poses = np.array([(3.0, 2.0, 0.0), (3.8, 1.5, 2.5)])
-    match = match_constellations(*views(world, poses))
-    assert match.verdict == "closure" and np.hypot(*error_of(match, *poses)[:2]) < 0.02
 
 
 def test_a_room_that_looks_the_same_turned_round_is_ambiguous():
@@ -150,6 +142,7 @@ def test_random_worlds_give_no_wrong_closure(make):
         if match is not None and match.verdict == "closure":
             error = error_of(match, *poses)
             closures += 1
+            assert np.hypot(*error[:2]) < 0.05
             wrong += error @ np.linalg.solve(match.covariance, error) > 30.0
         for other in before[-2:]:
             match = match_constellations(other, b)

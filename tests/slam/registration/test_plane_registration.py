@@ -29,14 +29,15 @@ def wall(middle: tuple[float, float, float], normal: tuple[float, float, float],
     return Plane(frame, np.diag([2e-3, 1e-3, 1e-3]) ** 2, 1000, outline)
 
 
-def hall() -> list[Plane]:
-    half = HIGH / 2.0
+def hall(far: float = LONG) -> list[Plane]:
+    """Floor, ceiling, sides and ends of the hall, or of its part that ends at an x."""
+    half, middle, length = HIGH / 2.0, (far - LONG) / 2.0, far + LONG
     return [
-        wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, 2.0 * LONG),
-        wall((0.0, 0.0, HIGH), (0.0, 0.0, -1.0), 2.0 * WIDE, 2.0 * LONG),
-        wall((0.0, WIDE, half), (0.0, -1.0, 0.0), 2.0 * LONG, HIGH),
-        wall((0.0, -WIDE, half), (0.0, 1.0, 0.0), 2.0 * LONG, HIGH),
-        wall((LONG, 0.0, half), (-1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
+        wall((middle, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, length),
+        wall((middle, 0.0, HIGH), (0.0, 0.0, -1.0), 2.0 * WIDE, length),
+        wall((middle, WIDE, half), (0.0, -1.0, 0.0), length, HIGH),
+        wall((middle, -WIDE, half), (0.0, 1.0, 0.0), length, HIGH),
+        wall((far, 0.0, half), (-1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
         wall((-LONG, 0.0, half), (1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
     ]
 
@@ -119,15 +120,8 @@ def test_walls_stand_in_the_way_from_the_wrong_end_only():
 def test_a_hall_is_told_from_itself_turned_round_by_what_would_be_seen_through_a_screen(lean: float):
     """All that is seen has a partner either way; the expectation lies nearer to the wrong end, or to the right one."""
     rng, true, screen = np.random.default_rng(2), body(2.0, 0.5, 0.2), wall((5.0, 0.0, 1.5), (1.0, 0.0, 0.0), 8.0, 3.0)
-    half, middle = HIGH / 2.0, (4.0 - LONG) / 2.0  # of the room this side of the screen
-    in_sight = [
-        wall((middle, 0.0, 0.0), (0.0, 0.0, 1.0), 2.0 * WIDE, LONG + 4.0),
-        wall((middle, 0.0, HIGH), (0.0, 0.0, -1.0), 2.0 * WIDE, LONG + 4.0),
-        wall((middle, WIDE, half), (0.0, -1.0, 0.0), LONG + 4.0, HIGH),
-        wall((middle, -WIDE, half), (0.0, 1.0, 0.0), LONG + 4.0, HIGH),
-        wall((-LONG, 0.0, half), (1.0, 0.0, 0.0), 2.0 * WIDE, HIGH),
-    ]
-    seen, expected = measured(in_sight, true, rng), body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
+    *along, _, near_end = hall(4.0)  # what is this side of the screen
+    seen, expected = measured([*along, near_end], true, rng), body(0.0, 0.0, 0.2 + np.pi / 2.0 + lean)
     known = [plane.transform(inverse(expected)) for plane in [*hall(), screen]]
     found = register_planes_globally(seen, known, (2.0, 1.4))
     assert found is not None
