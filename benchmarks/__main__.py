@@ -3,8 +3,6 @@
 Each workload runs in a process of its own, on one thread. Without names, all that the page of results has.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

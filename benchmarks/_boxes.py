@@ -1,7 +1,5 @@
 """Scans of rooms full of polyhedra with true labels: like those of the SynPEB benchmark, but as many as one likes."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """One workload in a process of its own: `python -m benchmarks._child NAME OUT.json ARGUMENTS`, arguments as JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Regressions against the results that are kept: ratios of time and memory, and accuracy; never an absolute time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Contenders on one input: times taken in turn, accuracy of what they return, peak memory in a process of their own."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -4,8 +4,6 @@ Resident memory, because what a library written in C++ allocates is seen by no t
 the peers' interpreter runs this as well. `python -m benchmarks._memory MODULE CASE` prints the peaks of a case.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import json

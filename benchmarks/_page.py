@@ -3,8 +3,6 @@
 Rows become text here, for the screen and for Markdown.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

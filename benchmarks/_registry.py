@@ -1,7 +1,5 @@
 """What `python -m benchmarks` runs: the workloads, what they measure, and how long and how short."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

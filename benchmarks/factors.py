@@ -3,8 +3,6 @@
 Run as ``python -m benchmarks factors``. One thread; contenders in turn, medians of repeats, kernels warmed up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 

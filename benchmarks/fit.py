@@ -5,8 +5,6 @@ distance of the true plane's middle from the plane; of many planes their medians
 have a covariance (3 is right).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from importlib.util import find_spec

@@ -6,8 +6,6 @@ Every keyframe sees a dozen planes near the robot, drawn from their own covarian
 odometry that drifts; nothing is measured from points, so the time is that of the estimator alone.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from itertools import islice

@@ -4,8 +4,6 @@
 half overlapping and driven the opposite ways.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Run as ``python -m benchmarks lidar``. Simulated drives of the corpus, 32 rings 
 room and a hall. KISS-ICP knows all of a cloud to be of one moment, and no more of the sensor.
 """
 
-from __future__ import annotations
-
 from functools import cache, partial
 
 import numpy as np

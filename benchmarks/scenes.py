@@ -4,8 +4,6 @@ Run as ``python -m benchmarks scenes``. Open3D gets the points that are returns,
 need, are part of its time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial

@@ -9,8 +9,6 @@ missions one after another, and writes the hashes. Drives whose data is absent a
 with 1 where a hash differs or is missing.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -7,8 +7,6 @@ so that nothing that follows waits. With `--into` it is compiled for a processor
 and what is called from Python is copied into FOLDER: what a wheel brings.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import fcntl

@@ -4,8 +4,6 @@ The simulated ones always, the floor plan by a browser; those of real data where
 hall as their pages in a browser show them.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

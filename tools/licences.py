@@ -3,8 +3,6 @@
 Usage: python licences.py; names every installed package that is under GPL or AGPL, exit code 1 if there is one.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.metadata import PackageMetadata, distributions

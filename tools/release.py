@@ -5,8 +5,6 @@ and what it depends on, nothing else, and runs the demo and the README there. Ex
 is uploaded.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

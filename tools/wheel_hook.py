@@ -3,8 +3,6 @@
 `make wheel` sets it. It needs what the packages need at run time, so it is not for an isolated build.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """`python -m benchmarks corpus`: run the drives of the corpus and say by kind how good and how honest the runs are."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

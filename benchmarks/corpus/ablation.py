@@ -1,7 +1,5 @@
 """`python -m benchmarks ablation`: what each mechanism earns, by the corpus with it switched off."""
 
-from __future__ import annotations
-
 import sys
 from collections import defaultdict
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Which drives the corpus holds: every kind of world, sensor, odometry and disturbance in several company."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase

@@ -11,10 +11,9 @@ References:
     for depths that are false by a pattern of the image.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -126,7 +125,7 @@ class _Camera:
     drops: bool  # whether depths are missing as those of real cameras are
 
     @classmethod
-    def drawn(cls, carried: _Carried, rng: np.random.Generator) -> _Camera:
+    def drawn(cls, carried: _Carried, rng: np.random.Generator) -> Self:
         """One camera out of many."""
         beams = camera_beams(_ROWS, _COLUMNS, _FOCAL)
         x, y = np.moveaxis(beams.directions[..., :2] / beams.directions[..., 2:], -1, 0)

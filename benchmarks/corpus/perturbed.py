@@ -1,7 +1,5 @@
 """Real logs made worse in known ways: wheels that slip, err or are not there, noisier lasers, scans or clocks amiss."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Worlds with planar polygons of any tilt, holes and glass, beside rectangles and bars."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Drives run in a process of their own with a time limit: what crashes or hangs is a row, not an end."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 import time

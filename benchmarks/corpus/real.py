@@ -1,7 +1,5 @@
 """Real logs of the corpus, and what is known to be true of each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run against the truth, in one row: errors over all scans, errors over claimed sigmas, landmarks, the verdict."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,9 +1,7 @@
 """An office suite to measure: a corridor and rooms on both sides that the robot enters, walls with two faces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -78,7 +76,7 @@ class Suite:
     height_m: float  # of the ceiling above the floor, m
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, *, rooms_a_side: int = 2) -> Suite:
+    def drawn(cls, rng: np.random.Generator, *, rooms_a_side: int = 2) -> Self:
         """A suite of random measures; the robot starts 1 m behind the origin, in the middle of the corridor."""
         while True:
             suite = cls._drawn(rng, rooms_a_side)
@@ -93,7 +91,7 @@ class Suite:
         return not any(np.any(np.diff(np.unique(places)) < _APART_M) for places in faces)
 
     @classmethod
-    def _drawn(cls, rng: np.random.Generator, rooms_a_side: int) -> Suite:
+    def _drawn(cls, rng: np.random.Generator, rooms_a_side: int) -> Self:
         half, wall, partition = (float(rng.uniform(*span)) for span in ((0.9, 1.2), (0.12, 0.3), (0.1, 0.2)))
         rooms, ends = [], []
         for side in (1.0, -1.0):

@@ -1,7 +1,5 @@
 """Rows of the corpus put together by kind, and two runs of it side by side."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any

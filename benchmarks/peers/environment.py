@@ -4,8 +4,6 @@ It is `.peers` in the project, which git ignores, or the interpreter that `$PEER
 gets its input as an npz and prints JSON.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

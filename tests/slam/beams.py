@@ -1,16 +1,12 @@
 """What the beams of simulated scans read, against the planes that they hit."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.corpus.drives import Drive
 from slam.sensors.log import LaserScan
-
-if TYPE_CHECKING:
-    from benchmarks.corpus.drives import Drive
-    from slam.simulation import Mission
+from slam.simulation import Mission
 
 
 class BeamErrors(NamedTuple):

@@ -1,9 +1,8 @@
 """A building from its floor plan: walls along every edge of the free space, a roof of one or two slopes, furniture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.random import Generator
@@ -27,7 +26,7 @@ class Roof:
     planes: FloatArray  # rows (a, b, c), one or two, shape (P, 3)
 
     @classmethod
-    def flat(cls, height_m: float) -> Roof:
+    def flat(cls, height_m: float) -> Self:
         """Level."""
         return cls(np.array([[height_m, 0.0, 0.0]]))
 

@@ -1,7 +1,5 @@
 """A random drive: world x sensors x odometry x disturbance, put together and recorded with its truth."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

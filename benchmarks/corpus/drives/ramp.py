@@ -1,7 +1,5 @@
 """Two floors, one over the other, with a ramp between them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.corpus.drives.scene import Course, Scene

@@ -1,7 +1,5 @@
 """What a drive goes through: a world, the course of the robot in it, and people who walk about."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +35,7 @@ class Course:
         """Length seen from above, m."""
         return self.path.length_m
 
-    def part(self, start: float, end: float, *, backwards: bool = False) -> Course:
+    def part(self, start: float, end: float, *, backwards: bool = False) -> "Course":
         """The course from one share of its length to another, or from there back; level ones only."""
         if not 0.0 <= start < end <= 1.0:
             raise ValueError(f"part: expected shares of the way with 0 <= start < end <= 1, got {start} and {end}")

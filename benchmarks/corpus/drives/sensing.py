@@ -1,7 +1,5 @@
 """Sensor suites of random drives: which beams, where they sit, how they err, how often they look."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

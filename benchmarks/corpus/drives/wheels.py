@@ -1,7 +1,5 @@
 """Odometry of random drives: as good as the rig says, worse, biased, not described, absent, standing still or stops."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

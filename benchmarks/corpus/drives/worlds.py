@@ -1,7 +1,5 @@
 """Kinds of buildings, each a function of a generator: irregular, sloped, cluttered, glass, bare, symmetric, a ramp."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

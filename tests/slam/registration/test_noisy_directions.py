@@ -1,7 +1,5 @@
 """Patches of a few points look every way by chance: what they seem to know of a motion by that is not believed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

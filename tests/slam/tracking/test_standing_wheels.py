@@ -1,7 +1,5 @@
 """Wheels that stand while planes say that the body turns are not believed; a body that stands does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
