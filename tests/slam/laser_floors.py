@@ -82,15 +82,8 @@ class FloorPlan:
         self.add_chain([(x, y), (x, y + depth), (x + width, y + depth), (x + width, y), (x, y)])
 
 
-def ring(
-    rng: np.random.Generator,
-    *,
-    length_m: float = 18.0,
-    depth_m: float = 14.0,
-    doors_per_wall: int = 4,
-    past_m: float = 7.0,
-) -> FloorPlan:
-    """Corridors around a block, once round and a bit further; doors at random places."""
+def ring(rng: np.random.Generator, *, length_m: float, depth_m: float, doors_per_wall: int) -> FloorPlan:
+    """Corridors around a block, once round and 7 m further; doors at random places."""
     plan, half = FloorPlan(), rng.uniform(0.9, 1.3)
     corners = np.array(((0.0, 0.0), (length_m, 0.0), (length_m, depth_m), (0.0, depth_m)))
     signs = np.array(((-1, -1), (1, -1), (1, 1), (-1, 1)))
@@ -99,7 +92,7 @@ def ring(
         for a, b in ((outer[k], outer[(k + 1) % 4]), (inner[(k + 1) % 4], inner[k])):
             plan.add_wall(tuple(a), tuple(b), _places(rng, float(np.linalg.norm(b - a)), doors_per_wall))
     start = np.array((0.35 * length_m, 0.0))
-    way = [start, *corners[1:], corners[0], start + np.array((past_m, 0.0))]
+    way = [start, *corners[1:], corners[0], start + np.array((7.0, 0.0))]
     plan.way = [(float(x), float(y)) for x, y in way]
     return plan
 

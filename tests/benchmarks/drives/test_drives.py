@@ -141,10 +141,8 @@ def test_visits_of_one_building_differ_in_their_noise_and_their_way():
     assert [one.d for one in again.truth.planes] == [one.d for one in whole.truth.planes]
     assert not np.array_equal(again.log.odometry[5].odom_T_body, whole.log.odometry[5].odom_T_body)
     part = make_drive(Recipe.parse("office/level"), 0, part=(0.25, 0.75), backwards=True)
-    start, there = (
-        part.truth.world_T_body[0],
-        whole.truth.world_T_body[round(0.75 * (len(whole.truth.world_T_body) - 1))],
-    )
+    start, way = part.truth.world_T_body[0], whole.truth.world_T_body
+    there = way[round(0.75 * (len(way) - 1))]
     np.testing.assert_allclose(start[:3, 3], there[:3, 3], atol=0.15)
     np.testing.assert_allclose(start[:2, 0], -there[:2, 0], atol=0.05)
     for wrong in ((0.5, 0.5), (-0.1, 0.5), (0.2, 1.1)):

@@ -11,6 +11,7 @@ from factors import pose_prior, relative_pose_factor
 from slam.backend import estimator
 from slam.backend.estimator import _ALL_EVERY, Backend, BackendError, pose_symbol
 from slam.config import SlamConfig
+from slam.geometry.frames import planar_transform
 from tests.slam.short_drives import mapped_beginning
 
 
@@ -44,8 +45,14 @@ def test_a_covariance_of_many_variables_is_the_same_by_the_graph_as_by_the_tree(
     np.testing.assert_allclose(found[0] / scale, found[1] / scale, atol=1e-6)
 
 
-STEP = np.eye(4)
-STEP[0, 3] = 1.0
+STEP = planar_transform(1.0, 0.0, 0.0)
+
+
+def at_origin(*keys: int) -> gtsam.Values:
+    values = gtsam.Values()
+    for key in keys:
+        values.insert(key, gtsam.Pose3())
+    return values
 
 
 def cliques(backend: Backend) -> list[set[str]]:
@@ -110,20 +117,16 @@ def test_what_cholesky_calls_indeterminate_is_solved_all_the_same() -> None:
 
 
 def test_a_graph_that_nothing_solves_is_refused() -> None:
-    backend, initial = Backend(SlamConfig().backend), gtsam.Values()
-    for index in range(2):
-        initial.insert(pose_symbol(index), gtsam.Pose3())
+    keys = pose_symbol(0), pose_symbol(1)
     with pytest.raises(BackendError, match="Indeterminate"):
-        backend.update([relative_pose_factor(pose_symbol(0), pose_symbol(1), np.eye(4), np.eye(6))], initial)
+        Backend(SlamConfig().backend).update([relative_pose_factor(*keys, np.eye(4), np.eye(6))], at_origin(*keys))
 
 
 def test_a_variable_that_is_there_already_is_refused() -> None:
-    backend, initial = Backend(SlamConfig().backend), gtsam.Values()
-    initial.insert(pose_symbol(0), gtsam.Pose3())
-    prior = pose_prior(pose_symbol(0), np.eye(4), np.eye(6))
-    backend.update([prior], initial)
+    backend, key = Backend(SlamConfig().backend), pose_symbol(0)
+    backend.update([pose_prior(key, np.eye(4), np.eye(6))], at_origin(key))
     with pytest.raises(BackendError, match="already exists"):
-        backend.update([prior], initial)
+        backend.update([pose_prior(key, np.eye(4), np.eye(6))], at_origin(key))
 
 
 def test_a_covariance_that_the_tree_cannot_give_is_read_by_qr(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,14 +156,10 @@ def test_a_floor_does_not_say_where_along_it_the_body_is():
 
 
 def test_what_is_in_use_is_relinearised_at_once_and_the_rest_of_the_way_soon():
-    backend, initial, sigmas = Backend(SlamConfig().backend), gtsam.Values(), np.eye(6)
-    keys = [pose_symbol(index) for index in range(30)]
-    for key in keys:
-        initial.insert(key, gtsam.Pose3())
+    backend, sigmas, keys = Backend(SlamConfig().backend), np.eye(6), [pose_symbol(index) for index in range(30)]
     steps = [relative_pose_factor(a, b, np.eye(4), 1e-4 * sigmas) for a, b in pairwise(keys)]
-    backend.update([pose_prior(keys[0], np.eye(4), sigmas), *steps], initial)
-    there = np.eye(4)
-    there[0, 3] = 0.1
+    backend.update([pose_prior(keys[0], np.eye(4), sigmas), *steps], at_origin(*keys))
+    there = planar_transform(0.1, 0.0, 0.0)
 
     def off(index: int) -> float:
         linearised = backend._isam.getLinearizationPoint().atPose3(keys[index]).matrix()

@@ -1,7 +1,5 @@
 """One submap in another: the likeliest place is found, rivals are counted, and places that are none are not taken."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from slam.frontend.occupancy.raster import CELL_M, Raster, view_from
 from slam.frontend.odometry import planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.registration.correlative_search import PlaceView, evidence_at, search_place
-from tests.slam.laser_floors import Drive, Wheels, cast, ring
+from tests.slam.laser_floors import Drive, FloorPlan, Wheels, cast, ring
 from tests.slam.laser_floors import drive as drive_plan
 
 LOOKS = 9.0
@@ -35,15 +33,11 @@ def room() -> np.ndarray:
 
 
 def corridor(doors: list[float]) -> np.ndarray:
-    """Two walls of 30 m with recesses of 0.9 m by 0.12 m."""
-    walls = []
-    for y, side in ((-1.0, -1.0), (1.0, 1.0)):
-        points = [(-15.0, y)]
-        for door in doors:
-            points += [(door, y), (door, y + 0.12 * side), (door + 0.9, y + 0.12 * side), (door + 0.9, y)]
-        points.append((15.0, y))
-        walls += [(a, b) if side < 0 else (b, a) for a, b in pairwise(points)]
-    return np.array(walls)
+    """Two walls of 30 m with recesses of 0.9 m by 0.12 m, which begin at places along x."""
+    plan = FloorPlan()
+    plan.add_wall((-15.0, -1.0), (15.0, -1.0), [15.0 + door for door in doors])
+    plan.add_wall((15.0, 1.0), (-15.0, 1.0), [15.0 - (door + 0.9) for door in reversed(doors)])
+    return np.array(plan.walls)
 
 
 ALONG = [np.array((x, 0.0, turn)) for x in (-1.5, 0.0, 1.5) for turn in (0.0, np.pi)]

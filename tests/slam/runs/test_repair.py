@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from benchmarks.corpus import drives as corpus
 from slam import PlaneSlam
-from slam.cli import app
 from slam.config import LoopConfig, SlamConfig
 from slam.frontend.keyframes import Keyframe, keyframes_of
 from slam.frontend.odometry import planar_delta
@@ -25,8 +23,9 @@ from slam.session._codec import encode
 from slam.session.replay import Places, SessionRecorder
 from slam.session.store import Session, SessionDamaged, salvage_session
 from slam.simulation import simulate_mission
+from tests.slam.commands import run as run_command
 from tests.slam.diagnostics.evidence.test_look import turned
-from tests.slam.laser_floors import Drive, LaserSettings, Wheels, drive, ring
+from tests.slam.laser_floors import Drive, Wheels, drive, ring
 from tests.slam.scenes import run_of
 
 #: The keyframe that somebody says stands elsewhere, from an early one, by so much, and how sure: the map has to bend.
@@ -37,7 +36,7 @@ AT, OLD, ASIDE, SURE = 80, 4, (1.2, 0.4, 0.03), (1e-4, 1e-4, 1e-5)
 def truth() -> Drive:
     rng = np.random.default_rng(4)
     plan = ring(rng, length_m=10.0, depth_m=7.0, doors_per_wall=3)
-    return drive(plan, rng, LaserSettings(), Wheels(scale=0.04, curvature_rad_per_m=0.05))
+    return drive(plan, rng, wheels=Wheels(scale=0.04, curvature_rad_per_m=0.05))
 
 
 @pytest.fixture(scope="module")
@@ -217,16 +216,15 @@ def test_places_that_a_user_knows_close_a_loop(frames: list[Keyframe], truth: Dr
             slam.add_keyframe(replace(frames[AT + 1], places=(wrong,)))
 
 
-def test_a_finished_run_that_is_wrong_is_open_to_repair_once(tmp_path: Path):
+def test_a_finished_run_that_is_wrong_is_open_to_repair_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """A mount that is stated backwards: scans refuse the wheels at every step. That is asked once, and not mended."""
-    mission, out = tmp_path / "log", tmp_path / "run"
+    mission, rig, out = (tmp_path / name for name in ("log", "backwards.yaml", "run"))
     made = simulate_mission("hall", n_scans=10, seed=3)
     made.save(mission)
-    turned(made.rig).to_yaml(tmp_path / "backwards.yaml")
-    command = ["slam", str(mission), "--rig", str(tmp_path / "backwards.yaml"), "--out", str(out), "--no-repair"]
-    assert CliRunner().invoke(app, command).exit_code == 0
+    turned(made.rig).to_yaml(rig)
+    assert run_command(capsys, "slam", mission, "--rig", rig, "--out", out, "--no-repair")[0] == 0
     with Session.open(out, read_only=True) as session:
         assert session.result("repairs") is None
     for said in ("the map is doubtful", "finished already"):
-        done = CliRunner().invoke(app, ["slam", "--resume", str(out)])
-        assert (done.exit_code, said in done.output) == (0, True)
+        code, *told = run_command(capsys, "slam", "--resume", out)
+        assert (code, said in "".join(told)) == (0, True)

@@ -16,6 +16,7 @@ from spplanes._check import FloatArray
 
 #: A rig that states no errors of calibration.
 NOISE = OdometryNoise(z_sigma_m=1e-3, pitch_sigma_rad=1e-3, roll_sigma_rad=1e-3)
+N_POSES = 60
 #: Standard deviations of what is seen of a pose: where it is, m, and how it is turned, rad.
 _SEEN_M, _SEEN_RAD = 0.02, 0.01
 
@@ -33,7 +34,6 @@ def chain(
     rng: np.random.Generator,
     errors: FloatArray,
     *,
-    n_poses: int = 60,
     seen_every: int = 10,
     until: int | None = None,
     stated: bool = False,
@@ -50,7 +50,7 @@ def chain(
     backend, motions, indices, true = Backend(BackendConfig()), [], [], [np.eye(4)]
     sigmas = UNCALIBRATED_WHEELS.calibration_sigmas if stated else NOISE.calibration_sigmas
     factors, values, at = [], gtsam.Values(), np.eye(4)
-    for k in range(n_poses):
+    for k in range(N_POSES):
         if k:
             moved = np.array((0.5, 0.0, rng.normal(0.0, turns_rad)))
             true.append(true[-1] @ planar_transform(*moved))
@@ -66,7 +66,7 @@ def chain(
         if k % seen_every == 0 and (until is None or k < until):
             factors.append(seen(rng, k, true[-1], exact=k == 0, along_m=along_m))
         values.insert(pose_symbol(k), gtsam.Pose3(at))
-        if k % seen_every == 0 or k == n_poses - 1:
+        if k % seen_every == 0 or k == N_POSES - 1:
             indices += backend.update(factors, values)
             factors, values, at = [], gtsam.Values(), backend.pose(pose_symbol(k))
     backend.settle(10)

@@ -1,7 +1,5 @@
 """Views of level lasers agree where poses are right, and see through each other where they are not."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -13,12 +11,13 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
-from tests.slam.laser_floors import cast
+from tests.slam.laser_floors import FloorPlan, cast
 
 #: A room of 8 x 5 m with a box in it, free space on the left of each wall.
-CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
-BOX = [(5.0, 3.5), (5.0, 4.5), (6.0, 4.5), (6.0, 3.5), (5.0, 3.5)]
-WALLS = np.array([[a, b] for chain in (CORNERS, BOX) for a, b in pairwise(chain)])
+PLAN = FloorPlan()
+PLAN.add_chain([(0.0, 0.0), (8.0, 0.0), (8.0, 5.0), (0.0, 5.0), (0.0, 0.0)])
+PLAN.add_box(5.0, 3.5, 1.0, 1.0)
+WALLS = np.array(PLAN.walls)
 ANGLES = np.deg2rad(np.arange(-90.0, 91.0))
 RIG = Rig(sensors={"laser": Sensor(kind="line", range_sigma_m=0.01, range_max_m=20.0)})
 
