@@ -63,7 +63,8 @@ def measured(module: str, cases: Mapping[str, Case], *, short: bool = False) -> 
     for name, build in cases.items():
         contenders = build()
         tasks = [one for one in contenders if isinstance(one, Task)]
-        timed, peaks = iter(in_turn(tasks, short=short)), iter(memory_of(module, name) if tasks else [])
+        said = printed_by(sys.executable, "-m", "benchmarks._memory", module, name) if tasks else "[]"
+        timed, peaks = iter(in_turn(tasks, short=short)), iter(json.loads(said.splitlines()[-1]))  # MB of each task
         mine: list[Row] = []
         for one in contenders:
             row: Row = {"case": name, "by": one.by}
@@ -111,11 +112,6 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
 def measured_here(task: Task) -> Row:
     """The row of one task with its memory, by a process that does nothing else: a peer's interpreter."""
     return in_turn([task])[0] | {MEMORY: peak_mb(task.work)}
-
-
-def memory_of(module: str, case: str) -> list[float]:
-    """Peak memory of each task of a case, MB, by a process that does nothing else."""
-    return json.loads(printed_by(sys.executable, "-m", "benchmarks._memory", module, case).splitlines()[-1])
 
 
 def printed_by(python: Path | str, *words: str, timeout_s: float | None = None) -> str:

@@ -25,7 +25,9 @@ def peak_mb(work: Callable[[], object], *, warm: bool = True) -> float:
     """
     if warm:  # nothing is loaded or compiled any more
         work()
-    _give_back()
+    gc.collect()
+    if os.name == "posix" and _STATUS.exists():
+        ctypes.CDLL(None).malloc_trim(0)  # else what the call takes of the heap's free pages would not show
     try:
         _CLEAR.write_text("5")  # the kernel's mark of the highest resident size starts anew
     except OSError:
@@ -46,13 +48,6 @@ def resident_mb() -> float:
 def process_peak_mb() -> float:
     """Largest resident size of this process so far, MB."""
     return _status_mb("VmHWM") if _STATUS.exists() else _largest_mb()
-
-
-def _give_back() -> None:
-    """Hand free pages of the heap back, or what the call takes from them would not show."""
-    gc.collect()
-    if os.name == "posix" and _STATUS.exists():
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _status_mb(name: str) -> float:

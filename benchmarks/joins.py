@@ -33,12 +33,6 @@ def mission_of(
     return mission, drive.truth.poses_at(mission.trajectory.stamps_ns[:1])[0]
 
 
-def false_joins(missions: Sequence[Mission], significance: float) -> Counter[str]:
-    """Verdicts on all pairs of missions of different buildings."""
-    found = (compare_missions(*pair, SlamConfig(), significance=significance) for pair in combinations(missions, 2))
-    return Counter(one.verdict for one in found)
-
-
 def true_joins(recipe: Recipe, seeds: Sequence[int], significance: float) -> tuple[Counter[str], list[float]]:
     """Verdicts on two visits of each building, and the NEES (3 dof) of the motions of those that are joined."""
     verdicts, nees = Counter[str](), []
@@ -65,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     recipe = Recipe.parse(given.recipe)
     verdicts, nees = true_joins(recipe, range(given.visits), given.significance)
     print(f"two visits of {given.visits} buildings: {dict(verdicts)}; mean NEES {np.mean(nees):.2f} of 3", flush=True)
-    missions = [mission_of(recipe, seed)[0] for seed in range(given.buildings)]
-    told = false_joins(missions, given.significance)
+    pairs = combinations([mission_of(recipe, seed)[0] for seed in range(given.buildings)], 2)
+    found = (compare_missions(*pair, SlamConfig(), significance=given.significance) for pair in pairs)
+    told = Counter(one.verdict for one in found)
     print(f"{sum(told.values())} pairs of {given.buildings} different buildings: {dict(told)}", flush=True)
     return 0

@@ -59,7 +59,9 @@ def main(words: Sequence[str]) -> int:
     try:
         entries = chosen(asked)
         before = read_rows(asked.compare) if asked.compare else None
-        kept = _kept(asked)
+        if asked.resume and asked.json is None:
+            raise ValueError("--resume: expected --json FILE with it, got none")
+        kept = read_rows(asked.json) if asked.resume and asked.json.exists() else []
     except (OSError, ValueError) as error:
         print(f"benchmarks corpus: {error}", file=sys.stderr)
         return 2
@@ -71,13 +73,6 @@ def main(words: Sequence[str]) -> int:
     if asked.write:
         publish("corpus", lines, short=asked.short, seconds=sum(row.get("CPU s", 0.0) for row in rows))
     return 0
-
-
-def _kept(asked: argparse.Namespace) -> list[Row]:
-    """Rows of an interrupted run."""
-    if asked.resume and asked.json is None:
-        raise ValueError("--resume: expected --json FILE with it, got none")
-    return read_rows(asked.json) if asked.resume and asked.json.exists() else []
 
 
 def _run(entries: Sequence[Entry], kept: Sequence[Row], asked: argparse.Namespace) -> list[Row]:

@@ -145,7 +145,8 @@ class Suite:
         along_x, at = side < 2, (room.y0, room.y1, room.x0, room.x1)[side]
         start, end = (room.x0, room.x1) if along_x else (room.y0, room.y1)
         outline = [(start, 0.0)]
-        for door in sorted(self._doors_at(at) if along_x else (), key=lambda one: one.start_m):
+        doors = [one.door for one in self.rooms if one.door is not None and along_x and at in self._behind(one)]
+        for door in sorted(doors, key=lambda one: one.start_m):
             if start <= door.start_m and door.end_m <= end:
                 outline += [(door.start_m, 0.0), (door.start_m, door.height_m), (door.end_m, door.height_m)]
                 outline.append((door.end_m, 0.0))
@@ -153,10 +154,6 @@ class Suite:
         ring = [(s, at, floor_m + z) if along_x else (at, s, floor_m + z) for s, z in outline]
         middle = ((room.x0 + room.x1) / 2.0, (room.y0 + room.y1) / 2.0, floor_m + 1.0)
         builder.add_polygon([ring], toward=middle)
-
-    def _doors_at(self, y: float) -> list[Door]:
-        """Doorways that cut the plane at this y: of the corridor's wall, or of a room's."""
-        return [room.door for room in self.rooms if room.door is not None and y in self._behind(room)]
 
     def _behind(self, room: SuiteRoom) -> tuple[float, float]:
         """Both faces of the wall between a room and the corridor, y, m, the lower one first."""

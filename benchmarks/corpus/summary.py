@@ -16,16 +16,11 @@ WARNED = ("doubtful", "broken")
 
 def by_kind(rows: Sequence[Row]) -> list[Row]:
     """A line for every kind of world, sensors and trouble: how far off, how honest, what the runs said."""
-    return [_line(kind, some) for kind, some in _grouped(rows).items()]
-
-
-def _grouped(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Rows by kind, and all of them."""
     groups: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         for kind in Entry(row["drive"], row["seed"]).kinds:
             groups[kind].append(row)
-    return {**{kind: groups[kind] for kind in sorted(groups, key=_rank)}, "all": list(rows)}
+    return [*(_line(kind, groups[kind]) for kind in sorted(groups, key=_rank)), _line("all", rows)]
 
 
 def _rank(kind: str) -> int:
@@ -41,7 +36,7 @@ def _line(kind: str, rows: Sequence[Row]) -> Row:
         "kind": kind,
         "runs": len(rows),
         "failed": failed(rows),
-        "> 10 cm, %": _percent(worst > 0.1),
+        "> 10 cm, %": 100.0 * float((worst > 0.1).mean()) if worst.size else None,
         "rmse, mm": _median([1e3 * row["rmse, m"] for row in known]),
         "worst, mm": _median([1e3 * row["worst, m"] for row in known]),
         "pose NEES/dof": pose_nees(done),
@@ -85,10 +80,6 @@ def _verdicts(rows: Sequence[Row]) -> str:
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
-
-
-def _percent(flags: np.ndarray) -> float | None:
-    return 100.0 * float(flags.mean()) if flags.size else None
 
 
 def _share(rows: Sequence[Row], name: str) -> float | None:
