@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -37,10 +38,10 @@ def main(arguments: list[str]) -> int:
 
 def look_after_the_system() -> None:
     """Install what the tests need of the system, and say what could not be."""
-    if not have_libusb():
+    if not have(lambda: ctypes.util.find_library("usb-1.0"), "libusb-1.0-0"):
         print("Open3D needs the system library libusb-1.0, which could not be installed here; its tests are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install libusb-1.0-0")
-    if not have_chromium():
+    if not have(lambda: shutil.which("chromedriver"), "chromium", "chromium-driver"):
         print("Chromium with its driver could not be installed here; the tests of a run's page are skipped.")
         print("On Debian or Ubuntu: sudo apt-get install chromium chromium-driver")
 
@@ -76,18 +77,9 @@ def works(environment: Path) -> bool:
     return python.exists() and subprocess.run([python, "-m", "pip", "--version"], capture_output=True).returncode == 0
 
 
-def have_libusb() -> bool:
-    """Find libusb-1.0, or install it where this user may."""
-    return ctypes.util.find_library("usb-1.0") is not None or (
-        apt_install("libusb-1.0-0") and ctypes.util.find_library("usb-1.0") is not None
-    )
-
-
-def have_chromium() -> bool:
-    """Find chromedriver, or install it with its browser where this user may."""
-    return shutil.which("chromedriver") is not None or (
-        apt_install("chromium") and apt_install("chromium-driver") and shutil.which("chromedriver") is not None
-    )
+def have(find: Callable[[], str | None], *packages: str) -> bool:
+    """Find something of the system, or install its packages where this user may."""
+    return find() is not None or (all(map(apt_install, packages)) and find() is not None)
 
 
 def apt_install(package: str) -> bool:

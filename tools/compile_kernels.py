@@ -320,14 +320,7 @@ def rest() -> None:
 
 #: The longest first, then what it calls late, compiled by the time it does.
 JOBS: dict[str, Callable[[], None]] = {
-    "corridor": corridor,
-    "pieces": pieces,
-    "spinning": spinning,
-    "places": places,
-    "mapping": mapping,
-    "points": points,
-    "rest": rest,
-    "plane": plane,
+    job.__name__: job for job in (corridor, pieces, spinning, places, mapping, points, rest, plane)
 }
 
 if __name__ == "__main__":

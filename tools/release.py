@@ -72,11 +72,8 @@ def wheel_problems(wheel: Path, expected: str) -> list[str]:
     problems += [f"{name} is no source" for name in sorted(packed - sources) if name.split("/", 1)[0] not in strange]
     if metadata["License-Expression"] != "BSD-3-Clause" or f"{about}/licenses/LICENSE" not in names:
         problems.append("expected the licence BSD-3-Clause with its text")
-    problems += [
-        f"metadata: {key} is missing"
-        for key in ("Summary", "Requires-Python", "Description-Content-Type")
-        if not metadata[key]
-    ]
+    wanted = ("Summary", "Requires-Python", "Description-Content-Type")
+    problems += [f"metadata: {key} is missing" for key in wanted if not metadata[key]]
     if f"{about}/entry_points.txt" not in names:
         problems.append("the command spplanes is missing")
     return [f"{wheel.name}: {problem}" for problem in problems]

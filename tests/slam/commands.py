@@ -7,13 +7,8 @@ from slam.cli import main
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of a command."""
-    code = 0
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        code = stop.code if isinstance(stop.code, int) else 0
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    code = command(*arguments)
+    return code, *capsys.readouterr()
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
