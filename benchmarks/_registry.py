@@ -11,17 +11,15 @@ class Workload:
     title: str
     says: str  # what is measured, and what the reader must know of it
     full: dict[str, Any] = field(default_factory=dict)  # arguments of its `run`
-    short: dict[str, Any] = field(default_factory=dict)  # the same for `--short`
+    short: dict[str, Any] = field(default_factory=lambda: {"short": True})  # the same for `--short`
     gated: bool = False  # its ratios and accuracy are compared with those kept
 
 
-_QUICK = {"short": True}
 WORKLOADS: dict[str, Workload] = {
     "fit": Workload(
         "Plane fit with covariance",
         "The other fits give no covariance, except the plain numpy of the same formulas. Angle of the normal and "
         "offset of the plane at the middle of the wall, medians where there are many planes; mean NEES.",
-        short=_QUICK,
         gated=True,
     ),
     "scenes": Workload(
@@ -29,14 +27,12 @@ WORKLOADS: dict[str, Workload] = {
         "Whole scenes, ours on one core, Open3D on all, as it does by itself. Open3D's patches need normals, which are "
         "part of the time; `segment_plane` is called again on what is left until a plane has fewer points than asked. "
         "Correct: Hoover's count at 80 % overlap.",
-        short=_QUICK,
         gated=True,
     ),
     "factors": Workload(
         "Factors",
         "Linearisation and batch solve beside the wheel's own factors. `us each` is the time of one factor; in a "
         "Gauss-Newton step, whose optimiser copies all values at every call of a custom factor, what one line adds.",
-        short=_QUICK,
         gated=True,
     ),
     "growth": Workload(
@@ -51,7 +47,6 @@ WORKLOADS: dict[str, Workload] = {
         "Simulated drives of 32 rings of 900 beams: ours from clouds to map and verdict, beside KISS-ICP from the same "
         "clouds to poses, which is told that all of a cloud is of one moment. Root-mean-square error of the positions "
         "from the first one.",
-        short=_QUICK,
     ),
     "corpus": Workload(
         "Corpus",

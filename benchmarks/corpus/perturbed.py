@@ -78,9 +78,7 @@ def absent(log: Log, rig: Rig, rng: np.random.Generator) -> Log:
 
 
 #: Kinds of perturbations of a log of 2D scans and wheel odometry.
-PERTURBATIONS: dict[str, Perturbation] = {
-    change.__name__: change for change in (heading3, slips, noise2, half, late, absent)
-}
+PERTURBATIONS: dict[str, Perturbation] = {one.__name__: one for one in (heading3, slips, noise2, half, late, absent)}
 
 
 def _deltas(log: Log) -> list[FloatArray]:

@@ -134,8 +134,7 @@ class Suite:
                 ring = _level(room.x0, room.y0, room.x1, room.y1, floor_m + z)
                 levels[k] = builder.add_polygon([ring], toward=(0.0, 0.0, floor_m + 1.0), plane=levels[k])
         for room in self.rooms:
-            assert room.door is not None
-            self._add_doorway(builder, room, room.door, floor_m, levels[0])
+            self._add_doorway(builder, room, floor_m, levels[0])
         for room in spaces:
             for side in range(4):
                 self._add_face(builder, room, side, floor_m)
@@ -159,9 +158,9 @@ class Suite:
         """Both faces of the wall between a room and the corridor, y, m, the lower one first."""
         return (self.corridor.y1, room.y0) if room.y0 > 0.0 else (room.y1, self.corridor.y0)
 
-    def _add_doorway(
-        self, builder: PolygonBuilder, room: SuiteRoom, door: Door, floor_m: float, floor: int | None
-    ) -> None:
+    def _add_doorway(self, builder: PolygonBuilder, room: SuiteRoom, floor_m: float, floor: int | None) -> None:
+        door = room.door
+        assert door is not None
         (low, high), top = self._behind(room), floor_m + door.height_m
         middle: Any = (room.door_x, (low + high) / 2.0, floor_m + 1.0)
         builder.add_polygon([_level(door.start_m, low, door.end_m, high, floor_m)], toward=middle, plane=floor)

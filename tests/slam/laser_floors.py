@@ -12,8 +12,8 @@ from spplanes._check import FloatArray
 
 #: Time between scans, ns.
 PERIOD_NS = 100_000_000
-#: Depth of door recesses, m.
-RECESS_M = 0.12
+#: Depth and width of door recesses, m.
+RECESS_M, WIDTH_M = 0.12, 0.9
 #: Length over which a wall deviates from straight by one value, m.
 PATCH_M = 0.5
 
@@ -65,15 +65,13 @@ class FloorPlan:
         """A wall around corners, free space on its left."""
         self.walls += list(pairwise(corners))
 
-    def add_wall(
-        self, start: tuple[float, float], end: tuple[float, float], doors: list[float], width_m: float = 0.9
-    ) -> None:
+    def add_wall(self, start: tuple[float, float], end: tuple[float, float], doors: list[float]) -> None:
         """A straight wall with recessed doors that begin at distances along it; free space on its left."""
         a, b = np.array(start), np.array(end)
         along = (b - a) / np.linalg.norm(b - a)
         back, corners = np.array((along[1], -along[0])) * RECESS_M, [a]
         for door in doors:
-            near, far = a + door * along, a + (door + width_m) * along
+            near, far = a + door * along, a + (door + WIDTH_M) * along
             corners += [near, near + back, far + back, far]
         self.add_chain([(float(x), float(y)) for x, y in [*corners, b]])
 

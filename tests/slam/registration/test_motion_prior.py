@@ -97,10 +97,8 @@ def test_a_scan_tells_whether_a_step_is_a_rare_one() -> None:
 def test_a_body_off_by_what_nobody_saw_of_it_made_no_rare_step() -> None:
     """Four tenths off are no turn where it may have drifted by three; where it has not, they are."""
     usual, off = Usual(np.full(6, 0.03), np.full(6, 0.05)), np.full(6, 0.4)
-    place = np.diag(np.full(6, 0.01**2))
-    seen, unseen = (
-        MotionPrior(coasting(), CHANGE, usual, adrift).learnt(off, place) for adrift in (SURE, np.full(6, 0.3**2))
-    )
+    place, drifted = np.diag(np.full(6, 0.01**2)), np.full(6, 0.3**2)
+    seen, unseen = (MotionPrior(coasting(), CHANGE, usual, one).learnt(off, place) for one in (SURE, drifted))
     assert np.all(np.diag(seen.covariance) > 0.9 * CHANGE)
     assert np.all(np.diag(unseen.covariance) < 0.3 * CHANGE)
 
