@@ -18,7 +18,7 @@ Job = tuple[Entry, dict[str, Any]]
 
 
 def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
-    config = changed(changes)
+    config = SlamConfig.model_validate(changes)
     if entry.name.startswith(f"{REAL_WORD}/"):
         from benchmarks.corpus.real import real_row
 
@@ -33,16 +33,6 @@ def run_entry(entry: Entry, changes: dict[str, Any]) -> Row:
     drive = make_handheld(entry.name, entry.seed) if by_hand else make_drive(Recipe.parse(entry.name), entry.seed)
     slam = None if drive.prior is None else PlaneSlam(config, prior=drive.prior)
     return score(run_slam(drive.log, drive.rig, config, slam=slam), drive)
-
-
-def changed(changes: dict[str, dict[str, Any]]) -> SlamConfig:
-    """The default configuration but for some fields of some sections; ValueError: what there is not, or cannot be."""
-    whole = SlamConfig().model_dump()
-    for name, fields in changes.items():
-        if name not in whole:
-            raise ValueError(f"changes: expected sections of the configuration, got {name!r}")
-        whole[name] |= fields
-    return SlamConfig.model_validate(whole)
 
 
 def rows_of(jobs: Sequence[Job], limit_s: float) -> Iterator[Row]:

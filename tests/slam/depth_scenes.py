@@ -18,7 +18,7 @@ CAMERA = Camera(130.0, 130.0, 79.5, 59.5)
 MOUNT = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 SENSOR = Sensor(
     kind="cloud",
-    body_T_sensor=Mount(matrix=tuple(tuple(row) for row in MOUNT.tolist())),
+    body_T_sensor=Mount.of(MOUNT),
     range_sigma_m=0.002,
     range_min_m=0.3,
     range_max_m=6.0,

@@ -12,6 +12,7 @@ from slam import Keyframe, PlaneSlam
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import CloudScan, Event, LaserScan, OdometryReading
+from slam.sensors.rig import Rig
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import Location, Plane
 
@@ -24,6 +25,12 @@ PERIOD_NS = 1_000_000_000
 IN_PLANE = [2, 3, 4]
 #: (z m, theta rad, psi rad) of a measured plane.
 SIGMAS = np.array([0.004, 0.003, 0.005])
+
+
+def with_sensors(rig: Rig, **update: object) -> Rig:
+    """A rig of which every sensor is described otherwise."""
+    sensors = {name: sensor.model_copy(update=update) for name, sensor in rig.sensors.items()}
+    return rig.model_copy(update={"sensors": sensors})
 
 
 def room_planes() -> list[Plane]:

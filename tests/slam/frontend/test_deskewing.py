@@ -15,16 +15,14 @@ from slam.sensors.log import LaserScan, OdometryReading
 from slam.sensors.rig import Rig, Sensor
 from slam.simulation import HORIZONTAL, paper_rig, simulate_mission
 from slam.simulation.mission import Mission
-from tests.slam.scenes import SURE_WHEELS
+from tests.slam.scenes import SURE_WHEELS, with_sensors
 
 SECOND_NS = 1_000_000_000
 
 
 def with_sweep(sweep_s: float) -> Rig:
     """With sure wheels: what is left in the planes is the sweep."""
-    rig = paper_rig()
-    sensors = {name: sensor.model_copy(update={"sweep_s": sweep_s}) for name, sensor in rig.sensors.items()}
-    return rig.model_copy(update={"sensors": sensors, "odometry": SURE_WHEELS})
+    return with_sensors(paper_rig(), sweep_s=sweep_s).model_copy(update={"odometry": SURE_WHEELS})
 
 
 def turning_track() -> OdometryTrack:

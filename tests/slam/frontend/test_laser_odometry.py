@@ -27,6 +27,7 @@ from slam.sensors.log import LaserScan, Log, OdometryReading
 from slam.sensors.rig import Mount, Rig, Sensor
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS as NOISE
 from tests.slam.laser_floors import PATCH_M, Drive, FloorPlan, Wheels, cast, drive
+from tests.slam.scenes import with_sensors
 from tests.slam.short_drives import errors_of as drive_errors
 from tests.slam.short_drives import until
 
@@ -48,9 +49,8 @@ def rooms(seed: int, wheels: Wheels = NO_SLIPS) -> Drive:
 
 def stated(log: Log) -> Rig:
     """A rig that knows what the simulator does."""
-    rig = default_rig_for(log)
     noise = {"range_sigma_m": 0.01, "surface_sigma_m": 0.005, "surface_correlation_m": PATCH_M}
-    return rig.model_copy(update={"sensors": {"FLASER": rig.sensors["FLASER"].model_copy(update=noise)}})
+    return with_sensors(default_rig_for(log), **noise)
 
 
 def track_of(log: Log) -> LaserTrack:
@@ -321,10 +321,8 @@ def test_a_laser_upside_down_measures_as_the_right_way_up():
     turned = [replace(one, ranges=one.ranges[::-1].copy(), angles=-one.angles[::-1].copy()) for one in log.scans()]
     rig, stamps = stated(log), [scan.stamp_ns for scan in turned]
     over = rig.sensors["FLASER"].body_T_sensor @ np.diag([1.0, -1.0, -1.0, 1.0])
-    mounted = rig.sensors["FLASER"].model_copy(update={"mount": Mount(matrix=tuple(map(tuple, over.tolist())))})
-    upside_down = rig.model_copy(update={"sensors": {"FLASER": mounted}})
     up = laser_track(log, rig, CoastingConfig())
-    down = made_track(replace(log, events=turned), upside_down, SlamConfig())
+    down = made_track(replace(log, events=turned), with_sensors(rig, mount=Mount.of(over)), SlamConfig())
     assert np.allclose(up.poses_at(stamps), down.poses_at(stamps), atol=2e-3)
 
 
@@ -380,9 +378,7 @@ def test_a_level_laser_beside_a_push_broom_one_measures_the_motion_too():
     assert isinstance(made_track(log, truth.rig, SlamConfig()), LaserTrack)
     off = drive_errors(run_slam(log, truth.rig, SlamConfig()), truth)
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.03
-    lean = {"mount": Mount(rpy_deg=(0.0, 10.0, 0.0))}
-    tilted = {name: sensor.model_copy(update=lean) for name, sensor in truth.rig.of_kind("line").items()}
-    leaning = truth.rig.model_copy(update={"sensors": {**truth.rig.sensors, **tilted}})
+    leaning = with_sensors(truth.rig, mount=Mount(rpy_deg=(0.0, 10.0, 0.0)))
     assert not isinstance(made_track(log, leaning, SlamConfig()), LaserTrack)
 
 

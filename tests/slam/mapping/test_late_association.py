@@ -45,6 +45,4 @@ def test_what_lies_elsewhere_or_is_the_edge_of_something_is_not():
 
 
 def test_nothing_waits_longer_than_it_is_told_to():
-    rules = SlamConfig()
-    never = rules.model_copy(update={"landmarks": rules.landmarks.model_copy(update={"waiting_keyframes": 0})})
-    assert sightings(run(config=never)) == [1, 2, 3]
+    assert sightings(run(config=SlamConfig.model_validate({"landmarks": {"waiting_keyframes": 0}}))) == [1, 2, 3]

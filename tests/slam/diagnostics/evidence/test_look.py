@@ -30,8 +30,7 @@ def turned(rig: Rig) -> Rig:
     """The rig with every sensor backwards."""
     turn, sensors = Mount(rpy_deg=(0.0, 0.0, 180.0)).as_matrix(), {}
     for name, one in rig.sensors.items():
-        mount = Mount(matrix=tuple(map(tuple, (one.body_T_sensor @ turn).tolist())))
-        sensors[name] = one.model_copy(update={"mount": mount})
+        sensors[name] = one.model_copy(update={"mount": Mount.of(one.body_T_sensor @ turn)})
     return rig.model_copy(update={"sensors": sensors})
 
 
