@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks._boxes import polyhedra_scan
 from benchmarks._measure import DATA, Case, Row, Task, measured
+from slam.io.clouds.depth import Camera
 from slam.io.threedtk import read_points
 from slam.sensors.rig import LocalisationNoise
 from slam.simulation import simulate_mission
@@ -62,11 +63,7 @@ def icl_frame(data: Path, noise_seed: int | None = None) -> tuple[FloatArray, Fl
         sigma = DepthCameraModel().depth_sigma(depth)
         noise = sigma * np.random.default_rng(noise_seed).standard_normal(depth.shape)
         depth = np.where(depth > 0.0, depth + noise, 0.0)
-    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
-    x, y = (u - camera[0, 2]) / camera[0, 0] * depth, (v - camera[1, 2]) / camera[1, 1] * depth
-    points = np.stack((x, y, depth), axis=-1)
-    points[depth <= 0.0] = np.nan
-    return points, sigma, labels
+    return Camera(camera[0, 0], camera[1, 1], camera[0, 2], camera[1, 2]).points(depth), sigma, labels
 
 
 def synpeb_scan(data: Path) -> tuple[FloatArray, float, np.ndarray]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -88,9 +88,7 @@ def _deltas(log: Log) -> list[FloatArray]:
 
 def _turned(log: Log, deltas: Sequence[FloatArray], turns: FloatArray) -> Log:
     """The log with steps of the odometry, each of which turns by so much more, rad."""
-    poses = [log.odometry[0].odom_T_body]
-    for (x, y, theta), more in zip(deltas, turns, strict=True):
-        poses.append(poses[-1] @ planar_transform(x, y, theta + float(more)))
-    moved = iter(poses)
+    steps = (planar_transform(x, y, theta + float(more)) for (x, y, theta), more in zip(deltas, turns, strict=True))
+    moved = accumulate(steps, np.matmul, initial=log.odometry[0].odom_T_body)
     turned = [replace(e, odom_T_body=next(moved)) if isinstance(e, OdometryReading) else e for e in log.events]
     return replace(log, events=turned)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.io.clouds.depth import CAMERA_MOUNT
+from slam.io.clouds.depth import CAMERA_MOUNT, Camera
 from slam.io.default_rigs import depth_rig
 from slam.sensors.rig import Mount, Sensor
 from slam.simulation.record import noisy_ranges
@@ -74,8 +74,8 @@ def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
 
 def camera_beams(rows: int, columns: int, focal_pixels: float) -> Beams:
     """Of a pinhole camera that looks along z, a fan of `columns` beams for every row of its image."""
-    v, u = np.mgrid[:rows, :columns] + 0.5
-    directions = np.stack([(u - columns / 2) / focal_pixels, (v - rows / 2) / focal_pixels, np.ones_like(u)], axis=-1)
+    camera = Camera(focal_pixels, focal_pixels, (columns - 1) / 2, (rows - 1) / 2)
+    directions = camera.points(np.ones((rows, columns)))
     normals = np.cross(directions[:, 0], directions[:, -1])
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     return Beams(directions, normals / np.linalg.norm(normals, axis=1, keepdims=True), None)

@@ -1,6 +1,7 @@
 """Odometry of random drives: as good as the rig says, worse, biased, not described, absent, standing still or stops."""
 
 from collections.abc import Callable
+from itertools import accumulate
 
 import numpy as np
 
@@ -108,7 +109,4 @@ def _over_ramps(poses: FloatArray, noise: OdometryNoise, rng: np.random.Generato
 
 def _chained(first: FloatArray, steps: FloatArray) -> FloatArray:
     """Poses (N + 1, 4, 4) from a first one and steps (N, 4, 4)."""
-    poses = [first]
-    for step in steps:
-        poses.append(poses[-1] @ step)
-    return np.array(poses)
+    return np.array(list(accumulate(steps, np.matmul, initial=first)))

@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from benchmarks.corpus.drives.sensing import camera_beams
 from slam.config import SlamConfig
 from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
 from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
@@ -235,10 +236,7 @@ def test_what_residuals_show_beyond_the_rig_is_in_the_covariance():
 
 def test_a_wall_that_reaches_beyond_the_sensors_range_is_where_it_is():
     """Of its far end those returns are left that err to this side: 3 dof, over walls from 4.3 m to beyond the 5 m."""
-    rng = np.random.default_rng(11)
-    v, u = np.mgrid[:60, :80] + 0.5
-    rays = np.stack(((u - 40.0) / 72.5, (v - 30.0) / 72.5, np.ones_like(u)), axis=-1)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rng, rays = np.random.default_rng(11), camera_beams(60, 80, 72.5).directions
     camera = sensor(range_sigma_m=0.0015, disparity_sigma_per_m=0.0014, range_min_m=0.3, range_max_m=5.0)
     nees, pieces = [], 0
     for _ in range(60):

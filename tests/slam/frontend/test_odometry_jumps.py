@@ -27,11 +27,9 @@ JUMPS = {"ahead": (0.0, 0.0, 0.0, 2.0, 0.0, 0.0), "turned": (0.0, 0.0, 2.0, 0.0,
 
 def driven(rng: np.random.Generator, kind: str, n_steps: int = 80) -> FloatArray:
     """Poses (N, 4, 4) of a body whose steps differ a little, each by itself."""
-    pose, poses = gtsam.Pose3(), [np.eye(4)]
-    for change in np.array(CHANGES[kind]) * rng.standard_normal((n_steps, 6)):
-        pose = pose.compose(gtsam.Pose3.Expmap(np.array(STEP) + change))
-        poses.append(pose.matrix())
-    return np.array(poses)
+    twists = np.array(STEP) + np.array(CHANGES[kind]) * rng.standard_normal((n_steps, 6))
+    steps = (gtsam.Pose3.Expmap(twist).matrix() for twist in twists)
+    return np.array(list(accumulate(steps, np.matmul, initial=np.eye(4))))
 
 
 def jump_at(there: FloatArray, jump: tuple[float, ...] | None) -> FloatArray:

@@ -16,6 +16,7 @@ from slam.io.default_rigs import depth_rig
 from slam.sensors.log import CloudScan, Log, StoredCloud
 from slam.sensors.rig import RangeWarp, Rig, Sensor
 from spplanes._check import FloatArray
+from tests.spplanes.scenes import to_walls
 
 CAMERA = depth_rig().sensors["camera"]
 RAYS = camera_beams(120, 160, 134.0).directions
@@ -26,10 +27,7 @@ HALF = np.array([1.6, 1.3, 1.2])
 def image(rng: np.random.Generator) -> FloatArray:
     """Points (120, 160, 3) without noise, in the camera's frame, of a box from within, looking anywhere."""
     turn, place = Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.5, 0.5, 3)
-    rays = RAYS @ turn.T
-    with np.errstate(divide="ignore"):
-        lengths = ((np.where(rays > 0.0, HALF, -HALF) - place) / rays).min(axis=-1)
-    return lengths[..., None] * RAYS
+    return to_walls(RAYS @ turn.T, -HALF - place, HALF - place)[..., None] * RAYS
 
 
 def log_of(images: list[FloatArray]) -> Log:
