@@ -1,4 +1,4 @@
-"""Logs of a real robot with one laser and raw wheel odometry, and of a real camera carried by hand."""
+"""Logs of a real robot with one laser and raw wheel odometry, of a tilting laser, and of a camera carried by hand."""
 
 from dataclasses import replace
 
@@ -8,10 +8,13 @@ import shapely
 
 from slam import PlaneSlam, SlamConfig
 from slam.evaluation import absolute_error
+from slam.evaluation.trajectories import pose_errors
 from slam.geometry.frames import inverse
 from slam.io.clouds.depth import CAMERA_MOUNT
 from slam.io.load import load
+from slam.io.threedtk import read_frames
 from slam.io.trajectories import Trajectory, read_tum
+from slam.planeslam import MapPlane
 from slam.runs.slam_run import Run, run_slam
 from tests.slam.real_data import needs
 
@@ -79,3 +82,49 @@ def test_a_camera_carried_by_hand_is_where_motion_capture_has_it(images: slice, 
     assert len(stamps) == len(events)
     assert error.translation_m.max() < worst_m
     assert np.rad2deg(error.rotation_rad.max()) < 3.5
+
+
+@pytest.fixture(scope="module")
+def corridor() -> Run:
+    return run_slam(*load(needs("3dtk_corridor")), SlamConfig())
+
+
+#: Normals of the corridor's planes, and from where to where their distances from the first scan may be, m.
+SIDES = {
+    "floor": ([0.0, 0.0, 1.0], 0.2, 0.6),
+    "ceiling": ([0.0, 0.0, -1.0], 1.8, 2.2),
+    "right": ([0.0, 1.0, 0.0], 0.8, 1.1),
+    "left": ([0.0, -1.0, 0.0], 1.2, 1.6),
+}
+
+
+def largest(run: Run, side: str) -> MapPlane:
+    """The landmark of most points that faces as a side does (to 15 deg), at such a distance."""
+    (normal, near, far), least = SIDES[side], np.cos(np.deg2rad(15.0))
+    found = [one for one in run.planes if one.plane.normal @ normal > least and near < -one.plane.d < far]
+    return max(found, key=lambda plane: plane.plane.n_points)
+
+
+def test_floor_ceiling_and_walls_are_single_landmarks_seen_from_all_three_scans(corridor: Run):
+    assert [largest(corridor, side).observations for side in SIDES] == [3] * 4
+
+
+def test_height_and_width_of_the_corridor(corridor: Run):
+    """The README of the data: 2.42 m and 2.39 m. Distances are sums of Hesse distances from the first scan."""
+    for pair, wide_m in ((("floor", "ceiling"), 2.42), (("right", "left"), 2.39)):
+        one, other = (largest(corridor, side).plane for side in pair)
+        assert abs(-one.d - other.d - wide_m) < 0.02 and -(one.normal @ other.normal) > np.cos(np.deg2rad(0.5))
+
+
+def test_poses_are_as_near_to_a_registration_as_two_registrations_are_to_each_other(corridor: Run):
+    """To 5 %: they are 6.54 cm apart where the map is 6.57 cm from one of them."""
+    folder = needs("3dtk_corridor")
+    for index in (1, 2):
+        better, other = (read_frames(folder / f"scan00{index}.frames.{name}") for name in ("4cc29d4c", "cf17522d"))
+        off = pose_errors(inverse(better) @ np.array((other, corridor.trajectory.poses[index])))
+        for limit, error in (off.translation_m, off.rotation_rad):
+            assert error <= 1.05 * limit
+
+
+def test_the_audit_finds_the_corridor_consistent(corridor: Run):
+    assert [row.verdict for row in corridor.slam.audit.summary()] == ["consistent"]
