@@ -37,6 +37,6 @@ def mapped_beginning(name: str, seed: int, n_scans: int | None = None) -> tuple[
 
 def errors_of(run: Run, drive: Drive) -> FloatArray:
     """Errors of a run's keyframes against the first one, (N, 4, 4)."""
-    true = drive.truth.world_T_body[np.searchsorted(drive.truth.stamps_ns, run.trajectory.stamps_ns)]
+    true = drive.truth.poses_at(run.trajectory.stamps_ns)
     moved, estimated = (np.linalg.inv(poses[0]) @ poses for poses in (true, run.trajectory.poses))
     return np.linalg.inv(moved) @ estimated

@@ -58,13 +58,13 @@ def track_of(log: Log) -> LaserTrack:
 
 
 def scans_alone(log: Log) -> Log:
-    return replace(log, events=[event for event in log.events if isinstance(event, LaserScan)])
+    return replace(log, events=log.scans())
 
 
 def errors_of(track: OdometryTrack, truth: Drive) -> tuple[np.ndarray, np.ndarray]:
     """Errors (N, 3) of motions over half a metre, and their NEES by wheels and returns together."""
     errors, nees = [], []
-    stamps = [event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)]
+    stamps = [scan.stamp_ns for scan in truth.log.scans()]
     for first in range(0, len(stamps) - GAP, GAP):
         motion = track.motion(stamps[first], stamps[first + GAP])
         true = inverse(truth.poses[first]) @ truth.poses[first + GAP]
@@ -75,8 +75,8 @@ def errors_of(track: OdometryTrack, truth: Drive) -> tuple[np.ndarray, np.ndarra
 
 
 def end_error_m(track: OdometryTrack, truth: Drive) -> float:
-    stamps = [event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)]
-    first, last = track.poses_at([stamps[0], stamps[-1]])
+    scans = truth.log.scans()
+    first, last = track.poses_at([scans[0].stamp_ns, scans[-1].stamp_ns])
     found, true = inverse(first) @ last, inverse(truth.poses[0]) @ truth.poses[-1]
     return float(np.linalg.norm((found - true)[:2, 3]))
 
@@ -105,7 +105,7 @@ def test_a_slip_of_twenty_degrees_is_the_wheels_own(slip_rad: float):
 def test_half_a_turn_that_neither_scans_nor_wheels_saw_is_found_at_the_first_scan_after_it(seed: int):
     """Three seconds without a scan; the reading after them is still that from before, as odometry that lags is."""
     truth = rooms(seed)
-    stamps = np.array([event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)])
+    stamps = np.array([scan.stamp_ns for scan in truth.log.scans()])
     blind = round(3e9 / np.diff(stamps).min())
     headings = np.unwrap(np.arctan2(truth.poses[:, 1, 0], truth.poses[:, 0, 0]))
     start = int(np.argmax(np.abs(headings[blind:] - headings[:-blind])))
@@ -286,7 +286,7 @@ def test_what_the_lines_say_is_not_said_twice():
 
 def between_keyframes(truth: Drive) -> tuple[LaserTrack, OdometryTrack, list[tuple[int, int]]]:
     """The track of a drive, its wheels, and the ends of motions over half a metre."""
-    stamps = [event.stamp_ns for event in truth.log.events if isinstance(event, LaserScan)][::GAP]
+    stamps = [scan.stamp_ns for scan in truth.log.scans()][::GAP]
     return track_of(truth.log), OdometryTrack(truth.log.odometry, stated(truth.log).odometry), list(pairwise(stamps))
 
 
@@ -328,7 +328,7 @@ def test_a_laser_upside_down_measures_as_the_right_way_up():
 
 def test_between_scans_before_the_first_and_after_the_last_the_wheels_say_how_it_went():
     truth = rooms(10)
-    scans = [event for event in truth.log.events if isinstance(event, LaserScan)]
+    scans = truth.log.scans()
     inner = {id(scan) for scan in scans[20:-20]}
     events = [event for event in truth.log.events if isinstance(event, OdometryReading) or id(event) in inner]
     track, wheels = track_of(replace(truth.log, events=events)), OdometryTrack(truth.log.odometry, NOISE)
@@ -415,6 +415,6 @@ def test_wheels_worse_than_stated_are_not_taken_for_slipping_in_the_first_steps(
     track = made_track(log, given.rig, SlamConfig())
     scans = [scan.stamp_ns for scan in log.scans() if given.rig.sensors[scan.sensor].kind == "line"]
     found = inverse(track.poses_at(scans[:1])[0]) @ track.poses_at(scans)
-    true = given.truth.world_T_body[np.searchsorted(given.truth.stamps_ns, scans)]
+    true = given.truth.poses_at(scans)
     off = np.linalg.inv(inverse(true[0]) @ true) @ found
     assert len(scans) > 5 and np.abs(off[:, :2, 3]).max() < 0.03

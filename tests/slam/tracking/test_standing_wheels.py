@@ -15,14 +15,12 @@ from tests.slam.short_drives import until
 N_STANDING, STEP_NS = 12, 500_000_000
 
 
-@pytest.mark.parametrize(
-    "sensors, seed", [("lidar32", 160001), ("lidar16", 160003), ("level", 190101), ("paper", 190102)]
-)
-def test_wheels_that_hang_in_a_bare_corridor_are_found_by_its_walls(sensors: str, seed: int) -> None:
+@pytest.mark.parametrize("kind, seed", [("lidar32", 160001), ("lidar16", 160003), ("level", 190101), ("paper", 190102)])
+def test_wheels_that_hang_in_a_bare_corridor_are_found_by_its_walls(kind: str, seed: int) -> None:
     """The body wanders by a few millirad a step; along the corridor nothing tells that it drives on."""
-    drive = make_drive(Recipe.parse(f"bare/{sensors}/stops"), seed)
+    drive = make_drive(Recipe.parse(f"bare/{kind}/stops"), seed)
     run = run_slam(drive.log, drive.rig, SlamConfig())
-    if "lidar" in sensors:
+    if "lidar" in kind:
         steps = np.array([np.linalg.norm(frame.motion.a_T_b[:3, 3]) for frame in run.slam.keyframes if frame.motion])
         hanging = set((1 + np.flatnonzero(steps < 1e-3)).tolist())
         against = {step.keyframe for step in run.slam.odometry_record.steps if step.check.against}
