@@ -5,14 +5,15 @@ Each workload runs in a process of its own, on one thread. Without names, all th
 
 import argparse
 import json
+import multiprocessing
+import os
 import sys
-import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from benchmarks import _gate, _page
-from benchmarks._measure import printed_by
+from benchmarks._measure import ONE_THREAD, workload
 from benchmarks._registry import WORKLOADS
 from benchmarks.peers import environment
 
@@ -74,11 +75,14 @@ def run_all(names: list[str], *, short: bool, write: bool) -> tuple[dict[str, di
 
 
 def run_one(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
-    """What a workload's own process found; a RuntimeError where it failed, in its last words."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "result.json"
-        printed_by(sys.executable, "-m", "benchmarks._child", name, str(out), json.dumps(arguments))
-        return json.loads(out.read_text())
+    """What a workload's own process found; a RuntimeError where it failed."""
+    os.environ.update(ONE_THREAD)  # which the process has when it imports numpy
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        try:
+            found = pool.submit(workload, name, arguments).result()
+        except Exception as error:  # whatever a workload stumbles over is said, and the next one runs
+            raise RuntimeError(f"{type(error).__name__}: {error}") from error
+    return json.loads(json.dumps(found, default=_page.as_json))
 
 
 def conclude(results: dict[str, dict[str, Any]], kept: dict[str, dict[str, Any]]) -> int:

@@ -7,12 +7,13 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks._memory import peak_mb
+from benchmarks._memory import peak_mb, process_peak_mb
 
 PROJECT = Path(__file__).resolve().parents[1]
 #: Other people's data, where they are.
@@ -79,6 +80,13 @@ def measured(module: str, cases: Mapping[str, Case], *, short: bool = False) -> 
             mine.append(row)
         rows += mine
     return rows
+
+
+def workload(name: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """The rows of a workload, its seconds and the largest resident size of its process."""
+    start = time.perf_counter()
+    rows = import_module(f"benchmarks.{name}").run(**arguments)
+    return {"rows": rows, "seconds": time.perf_counter() - start, "peak_MB": process_peak_mb()}
 
 
 def in_turn(tasks: list[Task], *, short: bool = False) -> list[Row]:

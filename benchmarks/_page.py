@@ -11,6 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks._measure import Row
 from benchmarks._registry import WORKLOADS
 from benchmarks.peers import environment
@@ -55,6 +57,13 @@ def _version(name: str) -> str | None:
         return version(name)
     except PackageNotFoundError:
         return None
+
+
+def as_json(value: Any) -> Any:
+    """Numbers of numpy as Python's own."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not known to JSON")
 
 
 def kept(path: Path = RESULTS) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import _page
-from benchmarks._child import as_json
 from benchmarks.corpus.catalogue import Entry, corpus, drawn
 from benchmarks.corpus.process import Job, rows_of
 from benchmarks.corpus.score import Row
@@ -88,14 +87,14 @@ def _run(entries: Sequence[Entry], kept: Sequence[Row], asked: argparse.Namespac
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Results with machine, versions and date."""
-    path.write_text(json.dumps({**_page.circumstances(), **content}, default=as_json, indent=1) + "\n")
+    path.write_text(json.dumps({**_page.circumstances(), **content}, default=_page.as_json, indent=1) + "\n")
 
 
 def publish(name: str, lines: list[Row], *, short: bool, seconds: float) -> None:
     """Put a table among the results kept, and write their page."""
     peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0  # of the processes that ran the drives
     result = {**_page.circumstances(), "short": short, "rows": lines, "seconds": seconds, "peak_MB": peak_mb}
-    _page.PAGE.write_text(_page.page(_page.store({name: json.loads(json.dumps(result, default=as_json))})))
+    _page.PAGE.write_text(_page.page(_page.store({name: json.loads(json.dumps(result, default=_page.as_json))})))
 
 
 def printed(rows: Iterator[Row]) -> Iterator[Row]:
