@@ -17,8 +17,8 @@ from slam.sensors.wheel_noise import OdometryNoise
 from spplanes import Location, Plane
 
 NOISE = OdometryNoise()
-#: Wheels that hardly err, and are calibrated.
 _OF_CALIBRATION = {"scale_sigma", "curvature_sigma_rad_per_m"}
+#: Wheels that hardly err, and are calibrated.
 SURE_WHEELS = OdometryNoise(**dict.fromkeys(OdometryNoise.model_fields.keys() - _OF_CALIBRATION, 1e-6))
 PERIOD_NS = 1_000_000_000
 #: Heading, x and y of a Pose3 tangent.
