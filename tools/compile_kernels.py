@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -83,27 +84,18 @@ def with_path(environment: dict[str, str] | os._Environ[str]) -> dict[str, str]:
 
 def spawn_all(names: tuple[str, ...], jobs: int, environment: dict[str, str] | os._Environ[str]) -> int:
     """Run jobs, so many at a time, with a line that says how far they are."""
-    waiting, running, start, locks = list(names), {}, time.perf_counter(), tempfile.TemporaryDirectory()
-    show = sys.stderr.isatty()
+    start, show = time.perf_counter(), sys.stderr.isatty()
     print(f"compiling the kernels, once ({min(jobs, len(names))} processes) ...", file=sys.stderr)
-    failed = 0
-    while waiting or running:
-        while waiting and len(running) < max(jobs, 1):
-            name = waiting.pop(0)
-            words = [sys.executable, __file__, "--here", f"--run={name}", f"--locks={locks.name}"]
-            running[name] = subprocess.Popen(words, env=with_path(environment))
-        for name, process in list(running.items()):
-            if process.poll() is not None:
-                del running[name]
-                failed |= process.returncode != 0
-        done = len(names) - len(waiting) - len(running)
-        if show:
-            far = f"{done} of {len(names)} done, {time.perf_counter() - start:.0f} s: {', '.join(running):.50}"
-            print(f"\r{far}\033[K", end="", file=sys.stderr)
-        time.sleep(0.1)
-    locks.cleanup()
+    with tempfile.TemporaryDirectory() as locks, ThreadPoolExecutor(max(jobs, 1)) as pool:
+        words, settings = [sys.executable, __file__, "--here", f"--locks={locks}"], with_path(environment)
+        made = {pool.submit(subprocess.run, [*words, f"--run={name}"], env=settings): name for name in names}
+        while left := wait(made, timeout=0.1).not_done:
+            if show:
+                running = ", ".join(name for one, name in made.items() if one.running())
+                far = f"{len(made) - len(left)} of {len(made)} done, {time.perf_counter() - start:.0f} s: {running:.50}"
+                print(f"\r{far}\033[K", end="", file=sys.stderr)
     print(f"{chr(13) if show else ''}compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)
-    return int(failed)
+    return int(any(one.result().returncode for one in made))
 
 
 def take_turns(folder: Path) -> None:
