@@ -340,7 +340,6 @@ def seen(**line: Any) -> LineObservation:
         {"returns": np.zeros((2, 4), dtype=int)},
         {"notes": ("dusty",)},
     ],
-    ids=str,
 )
 def test_a_session_holds_nothing_that_it_cannot_read(change: dict[str, Any], tmp_path: Path):
     """A keyframe is accepted and read again, or refused with a sentence and leaves no trace."""
