@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -13,6 +13,7 @@ from slam.cli._job import JsonOption, MapOptions, OutOption, OverwriteOption, Sl
 from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, show_result, warn_of
 
 if TYPE_CHECKING:
+    from slam.config import SlamConfig
     from slam.runs.slam_run import Run
 
 
@@ -32,15 +33,12 @@ def _begin(options: SlamOptions) -> None:
         raise typer.BadParameter("expected --prior, the map that it is a place in", param_hint="--start")
     out = options.out
     log, rig, config, clock = open_job(options.log, out, options)
-    from slam.ahead import cores
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
     from slam.runs.slam_run import run_slam
     from slam.session.prior_map import read_prior
 
-    if options.strict:
-        keyframes = config.keyframes.model_copy(update={"strict": True})
-        config = config.model_copy(update={"keyframes": keyframes})
+    config = _with_strictness(config, options)
     known = None
     if options.prior is not None:
         start, sigma = options.start or "0,0,0", options.start_sigma or "0.3,6"
@@ -52,20 +50,23 @@ def _begin(options: SlamOptions) -> None:
         new_run(out, log, rig, config, source, prior=known, overwrite=options.overwrite) as slam,
         progress_bar("keyframes") as progress,
     ):
-        run = run_slam(
-            log,
-            rig,
-            config,
-            slam=slam,
-            batch=options.batch,
-            repair=not options.no_repair,
-            jobs=options.jobs or cores(),
-            clock=clock,
-            progress=progress,
-        )
+        run = run_slam(log, rig, config, slam=slam, clock=clock, progress=progress, **_how(options))
         del slam  # as large as the run's own, which another is where it was repaired
         _conclude(run, out, options)
     say_verdict(run.verdict, strict=options.strict_verdict)
+
+
+def _with_strictness(config: SlamConfig, options: SlamOptions) -> SlamConfig:
+    if not options.strict:
+        return config
+    return config.model_copy(update={"keyframes": config.keyframes.model_copy(update={"strict": True})})
+
+
+def _how(options: SlamOptions) -> dict[str, Any]:
+    """Arguments of `run_slam` that a run is given each time it goes on."""
+    from slam.ahead import cores
+
+    return {"batch": options.batch, "repair": not options.no_repair, "jobs": options.jobs or cores()}
 
 
 #: Options that go with --resume: all others are as the run began.
@@ -85,7 +86,6 @@ def _resume(options: SlamOptions) -> None:
 
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
     check_folder_given(folder)
-    from slam.ahead import cores
     from slam.output.run_folder import FinishedAlready, resumed_run
     from slam.runs.slam_run import run_slam
     from slam.session.store import salvage_session
@@ -95,9 +95,8 @@ def _resume(options: SlamOptions) -> None:
     try:
         with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
             with progress_bar("keyframes") as progress:
-                run = run_slam(
-                    read, rig, slam.config, slam=slam, jobs=options.jobs or cores(), clock=clock, progress=progress
-                )
+                config = _with_strictness(slam.config, options)
+                run = run_slam(read, rig, config, slam=slam, clock=clock, progress=progress, **_how(options))
             del slam
             _conclude(run, folder, options)
     except FinishedAlready as sentence:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 
 import slam.runs.slam_run as run_module
 from slam import PlaneSlam
+from slam.errors import LogError
 from slam.geometry.frames import planar_transform
 from slam.io.load import load
 from slam.io.trajectories import Trajectory, read_tum, write_tum
@@ -209,6 +211,20 @@ def test_what_resume_does_not_take_is_refused(unfinished: Path, tmp_path: Path, 
     assert run(capsys, "slam", unfinished, "--salvage")[0] == 2
     for path, sentence in ((tmp_path / "none", "found nothing"), (tmp_path, "expected a session, found nothing")):
         assert sentence in refused(capsys, "slam", "--resume", path)
+
+
+def test_a_run_goes_on_as_the_options_of_resume_say(unfinished: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    asked: dict[str, Any] = {}
+
+    def notes(log, rig, config, **how):
+        asked.update(how, strict=config.keyframes.strict)
+        raise LogError(unfinished, "enough")
+
+    monkeypatch.setattr(run_module, "run_slam", notes)
+    assert run(capsys, "slam", "--resume", unfinished, "--batch", "--no-repair", "--strict", "--jobs", 1)[0] == 2
+    assert (asked["batch"], asked["repair"], asked["strict"], asked["jobs"]) == (True, False, True, 1)
+    assert run(capsys, "slam", "--resume", unfinished)[0] == 2
+    assert (asked["batch"], asked["repair"], asked["strict"]) == (False, True, False)
 
 
 def test_a_damaged_session_is_refused_then_salvaged_and_finished(whole: Path, unfinished: Path, capsys):
