@@ -146,21 +146,29 @@ class _Lasers:
 
     def __call__(self, index: int) -> Keyframe:
         """The keyframe of an index."""
+        stamp, config = self._stamps[index], self._config
         observations: list[Observation] = []
         scans: list[LaserScan] = []
         beams: list[FloatArray] = []
         notes: list[str] = []
         for sensor, window in self._scans_at(index, "slice"):
             scans += window
-            observations += self._planes(index, window, sensor, notes)
+            measure = partial(
+                planes_of_window, window, stamp, sensor, self._track, config, self._segment, sweeps=self._within
+            )
+            observations += _measured(measure, stamp, config, notes)
         for sensor, near in self._scans_at(index, "line"):
-            scan = min(near, key=lambda one: abs(one.stamp_ns - self._stamps[index]))
+            scan = min(near, key=lambda one: abs(one.stamp_ns - stamp))
             scans.append(scan)
-            lines, seen = self._lines(index, scan, sensor, notes)
-            observations += lines
-            beams += seen
+            kf_T_body = inverse(self._track.poses_at([stamp])[0]) @ self._track.poses_at([scan.stamp_ns])[0]
+            look = partial(lines_of_scan, unswept(scan, sensor, self._within), sensor, kf_T_body, config.lines)
+            observations += [
+                line.on_uneven_wall(sensor.surface_sigma_m, sensor.surface_correlation_m)
+                for line in _measured(look, stamp, config, notes)
+            ]
+            beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
         return Keyframe(
-            self._stamps[index],
+            stamp,
             observations,
             self._motion(index),
             notes=tuple(notes),
@@ -174,29 +182,7 @@ class _Lasers:
             if (index, name) in self._homes[kind]:
                 yield sensor, self._homes[kind][index, name]
 
-    def _planes(
-        self, index: int, window: Sequence[LaserScan], sensor: Sensor, notes: list[str]
-    ) -> list[PlaneObservation]:
-        """Planes of a push-broom window."""
-        stamp, track, config = self._stamps[index], self._track, self._config
-        measure = partial(planes_of_window, window, stamp, sensor, track, config, self._segment, sweeps=self._within)
-        return _measured(measure, stamp, config, notes)
-
-    def _lines(
-        self, index: int, scan: LaserScan, sensor: Sensor, notes: list[str]
-    ) -> tuple[list[LineObservation], list[FloatArray]]:
-        """Lines of a scan, and its beams."""
-        stamp, config = self._stamps[index], self._config
-        kf_T_body = inverse(self._track.poses_at([stamp])[0]) @ self._track.poses_at([scan.stamp_ns])[0]
-        measure = partial(lines_of_scan, unswept(scan, sensor, self._within), sensor, kf_T_body, config.lines)
-        lines = [
-            line.on_uneven_wall(sensor.surface_sigma_m, sensor.surface_correlation_m)
-            for line in _measured(measure, stamp, config, notes)
-        ]
-        return lines, beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
-
     def _motion(self, index: int) -> Motion | None:
-        """The motion from the keyframe before."""
         if not index:
             return None
         ends = self._stamps[index - 1], self._stamps[index]
@@ -205,8 +191,7 @@ class _Lasers:
             stalled = [stall for stall in self._stalls if stall.overlaps(*ends)]
             seconds = 1e-9 * sum(last_ns - first_ns for first_ns, last_ns in stalled)
             return over_stalls(motion, seconds, self._config.coasting) if stalled else motion
-        significance = self._config.association.new_significance
-        return motion_between(self._track, self._wheels, ends, significance)
+        return motion_between(self._track, self._wheels, ends, self._config.association.new_significance)
 
 
 def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
+from shapely import Polygon
 
 from factors.association.observations import LineObservation, PlaneObservation
 from slam.config import SlamConfig
@@ -14,7 +16,6 @@ from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.frontend.scan_regions import (
     believed_planes,
-    fit_if_any,
     members_of,
     on_planes,
     relabelled,
@@ -28,7 +29,7 @@ from slam.io.clouds.cloud import grid_of
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_covariances
-from spplanes import LineConfig, MapperConfig, Plane, extract_lines
+from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane
 from spplanes._check import FloatArray, as_float_array
 from spplanes.clouds.arrange import are_linked, arrange
 from spplanes.registration import RegisteredScans, beam_directions, register_scans
@@ -60,7 +61,7 @@ def window_poses(stamps_ns: Sequence[int], keyframe_ns: int, track: OdometryTrac
         members = np.flatnonzero(side)
         outward = members[np.argsort(np.abs(stamps[members] - keyframe_ns), kind="stable")]
         walked = _walk(
-            [keyframe_ns, *stamps[outward].tolist()], np.concatenate(([np.eye(4)], relative[outward])), track
+            [(keyframe_ns, np.eye(4)), *zip(stamps[outward].tolist(), relative[outward], strict=True)], track
         )
         for i, row in enumerate(outward):
             for j, column in enumerate(outward):
@@ -68,18 +69,14 @@ def window_poses(stamps_ns: Sequence[int], keyframe_ns: int, track: OdometryTrac
     return relative, joint.reshape(6 * count, 6 * count)
 
 
-def _walk(stamps_ns: Sequence[int], poses: FloatArray, track: OdometryTrack) -> list[FloatArray]:
-    """Covariance (6, 6), on the world side, after each step away from the first pose."""
-    total = np.zeros((6, 6))
-    covariances = []
-    for index in range(1, len(stamps_ns)):
-        forward = stamps_ns[index] > stamps_ns[index - 1]
-        base = poses[index - 1] if forward else poses[index]
-        tip = poses[index] if forward else poses[index - 1]
-        delta = planar_delta(inverse(base) @ tip)
-        total = total + _step_covariance(base, tip, track.step_covariance(delta))
-        covariances.append(total)
-    return covariances
+def _walk(poses: Sequence[tuple[int, FloatArray]], track: OdometryTrack) -> list[FloatArray]:
+    """Covariance (6, 6), on the world side, after each step away from the first of poses with their times."""
+    covariances = [np.zeros((6, 6))]
+    for (start_ns, start), (end_ns, end) in pairwise(poses):
+        base, tip = (start, end) if end_ns > start_ns else (end, start)
+        step = track.step_covariance(planar_delta(inverse(base) @ tip))
+        covariances.append(covariances[-1] + _step_covariance(base, tip, step))
+    return covariances[1:]
 
 
 def _step_covariance(base: FloatArray, tip: FloatArray, planar: FloatArray) -> FloatArray:
@@ -94,10 +91,6 @@ def _step_covariance(base: FloatArray, tip: FloatArray, planar: FloatArray) -> F
     jacobian[:3, 2] = -lever
     jacobian[3, 2] = 1.0
     return jacobian @ planar @ jacobian.T
-
-
-#: Columns of a grid whose points tell how far apart rows lie: each of so many.
-_EVERY = 8
 
 
 class Segment(Protocol):
@@ -192,20 +185,14 @@ def _flat_planes(
     labels, region = relabelled(points, found.labels, believed)
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
     flat = [one.plane for planes in believed for one in planes]
-    drawn = _drawn(flat, points, labels, extents[region], settings)
-    return [_in_scan(plane, sensor) for plane in drawn], labels
-
-
-def _drawn(
-    planes: Sequence[Plane], points: FloatArray, labels: np.ndarray, extents: FloatArray, config: MapperConfig
-) -> list[Plane]:
-    """Planes, by their label, with outlines as rough as their size allows; see `outlines_in`."""
-    frames = np.array([plane.frame for plane in planes]).reshape(-1, 4, 4)
-    outlines = outlines_in(frames, points, np.maximum(labels, -1), extents, config)
-    return [
-        Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
-        for plane, outline in zip(planes, coarse(outlines), strict=True)
-    ]
+    frames = np.array([plane.frame for plane in flat]).reshape(-1, 4, 4)
+    outlines = outlines_in(frames, points, np.maximum(labels, -1), extents[region], settings)
+    planes = [_with_outline(plane, outline) for plane, outline in zip(flat, coarse(outlines), strict=True)]
+    # the error that all points of a scan's plane share, whatever their number
+    shared = np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
+    if shared.any():
+        planes = [replace(plane, covariance=plane.covariance + shared) for plane in planes]
+    return planes, labels
 
 
 def planes_of_window(
@@ -259,10 +246,20 @@ def _in_window(
     scan_index = members // placed.points.shape[1]
     points, viewpoint = placed.points.reshape(-1, 3)[members], placed.viewpoints[scan_index].mean(axis=0)
     noise = surface_covariances(points, placed.covariances.reshape(-1, 3, 3)[members], plane.frame, sensor)
-    fitted = fit_if_any(points, noise, viewpoint=viewpoint, scan_index=scan_index, pose_covariances=pose_covariance)
-    if fitted is None or not is_one_plane(fitted, points, noise, viewpoint, rules, scan_index):
+    told = {"viewpoint": viewpoint, "scan_index": scan_index, "pose_covariances": pose_covariance}
+    try:
+        fitted = fit_plane(points, noise, shared_error=False, **told)
+    except ValueError:  # one bad patch must not end a run
         return []
-    return [PlaneObservation(_outlined(fitted, plane))]
+    if not is_one_plane(fitted, points, noise, viewpoint, rules, scan_index):
+        return []
+    if plane.outline is not None:
+        fitted = _with_outline(fitted, largest_polygon(flatten(plane.outline, inverse(fitted.frame) @ plane.frame)))
+    return [PlaneObservation(fitted)]
+
+
+def _with_outline(plane: Plane, outline: Polygon | None) -> Plane:
+    return Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline, plane.chi2)
 
 
 def lines_of_scan(scan: LaserScan, sensor: Sensor, kf_T_body: FloatArray, config: LineConfig) -> list[LineObservation]:
@@ -290,7 +287,7 @@ def for_points(config: MapperConfig, points: FloatArray) -> MapperConfig:
 
     Their cells are half as wide as what usually lies between points of neighbouring rows, up to twice what is asked.
     """
-    steps = np.linalg.norm(np.diff(points[:, ::_EVERY], axis=0), axis=-1)
+    steps = np.linalg.norm(np.diff(points[:, ::8], axis=0), axis=-1)  # some columns tell
     steps = steps[np.isfinite(steps)]
     apart = float(np.median(steps)) if len(steps) else 0.0
     return replace(config, outline_cell_m=min(max(0.5 * apart, config.outline_cell_m), 2.0 * config.outline_cell_m))
@@ -322,17 +319,3 @@ def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
     else:
         points = usable_ranges(scan.ranges, sensor)[:, None] * beam_directions(scan.angles)
     return points[np.isfinite(points).all(axis=1)]
-
-
-def _in_scan(plane: Plane, sensor: Sensor) -> Plane:
-    """The plane with the error that all points of a scan's plane share, whatever their number."""
-    shared = np.diag([sensor.plane_sigma_m**2, sensor.plane_sigma_rad**2, sensor.plane_sigma_rad**2])
-    return replace(plane, covariance=plane.covariance + shared) if shared.any() else plane
-
-
-def _outlined(fitted: Plane, plane: Plane) -> Plane:
-    """A plane fitted anew with everything the sensor is known to err in, and the outline that it was given before."""
-    if plane.outline is None:
-        return fitted
-    moved = largest_polygon(flatten(plane.outline, inverse(fitted.frame) @ plane.frame))
-    return Plane._trusted(fitted.frame, fitted.covariance, fitted.n_points, moved, fitted.chi2)

@@ -10,7 +10,7 @@ import numpy as np
 from slam.config import BOUND_SIGMAS
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import model_of, servo_covariances, surface_covariances, tilt_drift
-from spplanes import MapperConfig, Plane, fit_plane
+from spplanes import MapperConfig, Plane
 from spplanes._check import FloatArray
 from spplanes._rows import OK
 from spplanes._threads import in_parts
@@ -21,9 +21,6 @@ from spplanes.segmentation.validation.bends import surest_bend
 from spplanes.segmentation.validation.one_plane import InPatches, could_be_seen, fits_its_noise
 from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import LIMIT, along_plane, are_spread, tells_tilt
-
-#: So often a plane is fitted anew without what strays from it, and so much of its points must be left.
-_ROUNDS, _LEAST_SHARE = 4, 0.9
 
 
 class ScanPart:
@@ -46,10 +43,6 @@ class ScanPart:
         self.points, self.members, self.sensor = points, members, sensor
         self.noise = surface_covariances(points, covariances, frame, sensor)
         self.blurred = servo_covariances(points, self.noise, members // n_columns, sensor)
-
-    def drift(self, plane: Plane) -> FloatArray | None:
-        """What the servo's slow error shifts every point by, (N,), m; None: there is none."""
-        return tilt_drift(plane, self.points, self.sensor) if self.sensor.tilt_sigma_rad > 0.0 else None
 
     def fitted(self, viewpoint: FloatArray) -> Plane | None:
         """The plane of the points, all errors counted; None where they do not determine one.
@@ -117,16 +110,11 @@ def unambiguous_labels(
 def on_planes(
     points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, sensor: Sensor
 ) -> tuple[np.ndarray, FloatArray]:
-    """Labels and covariances of points by where their beams meet their plane, not by what they read.
+    """Labels and covariances of points by where their beams meet their plane, not by what they read; given as above.
 
     Of a surface near a limit of the sensor those returns are left that err to this side of it: near the 5 m of a depth
     camera planes came out 0.9 to 1.7 sigmas too near in four drives. And where noise grows with the range, those that
     read too little would count for more than those that read too much.
-
-    Args:
-        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
-        frames: of about the planes, shape (R, 4, 4).
-        sensor: its limits and its noise.
 
     Returns:
         The labels but for beams that the limits may cut off, and the covariances, those of points on a plane anew.
@@ -172,11 +160,7 @@ def believed_planes(
 ) -> list[list[Believed]]:
     """The planes of every region of a grid, fitted with all errors counted, those that residuals show as well.
 
-    Args:
-        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
-        frames: of about the planes, shape (R, 4, 4).
-        sensor, viewpoint: what errs, whence it was seen.
-        mapper, rules: what a plane is at least, and how much is allowed.
+    Arguments as above, with the viewpoint (3,) they were seen from.
 
     Returns:
         Of every region none, where it is no plane, or one, or those on either side of its bends, largest first.
@@ -224,12 +208,7 @@ def relabelled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Number of the plane of every point, -2 in regions that are none, -1 elsewhere, and each plane's region, (P,).
 
-    What nobody was sure of goes with its region; of several planes with the nearest.
-
-    Args:
-        points: shape (S, B, 3).
-        labels: region of every point, shape (S, B), -1 = none.
-        believed: the planes of every region.
+    What nobody was sure of goes with its region, by labels (S, B) as above; of several planes with the nearest.
     """
     counts = np.array([len(planes) for planes in believed], dtype=np.int64)
     first = np.cumsum(counts) - counts
@@ -268,30 +247,21 @@ def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
 def believed_plane(part: ScanPart, viewpoint: FloatArray, rules: ValidationConfig) -> Believed | None:
     """The plane of a region, if it is one; None: it is none.
 
-    A plane is fitted anew without the patches that stray, which moves it and its patches: so a few times over.
+    A plane is fitted anew without the patches that stray, which moves it and its patches: so a few times over, while
+    nine tenths of its points are left.
     """
     rest = part
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         plane = rest.fitted(viewpoint)
         if plane is None:
             return None
-        patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=rest.drift(plane))
+        drift_m = tilt_drift(plane, rest.points, part.sensor) if part.sensor.tilt_sigma_rad > 0.0 else None
+        patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=drift_m)
         if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
             strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)
             return Believed(plane, rest, strayed)
         chosen = patches.without_strays()
-        if chosen is None or np.count_nonzero(chosen) < _LEAST_SHARE * len(part.members):
+        if chosen is None or np.count_nonzero(chosen) < 0.9 * len(part.members):
             return None
         rest = rest.only(chosen)
     return None
-
-
-def fit_if_any(points: FloatArray, covariances: FloatArray, **fit: np.ndarray) -> Plane | None:
-    """The plane of points, or None where they do not determine one: one bad patch must not end a run.
-
-    What errors share is found over all planes of a scan (`with_shared_error`).
-    """
-    try:
-        return fit_plane(points, covariances, shared_error=False, **fit)  # type: ignore[arg-type]
-    except ValueError:
-        return None
