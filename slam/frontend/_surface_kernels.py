@@ -9,13 +9,10 @@ from math import frexp
 
 import numpy as np
 
-from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 
 #: Cells that a hash table has for every one used, at least; and the multiplier that spreads keys over it (Knuth).
 _ROOM, _SPREAD = 2, np.uint64(0x9E3779B97F4A7C15)
-#: Levels of cubes, powers of two metres, are numbered from this one below nought.
-_LEVELS = 1024
 
 
 @njit(cache=True)
@@ -24,17 +21,11 @@ def numbered(keys):
 
     Keys below nought are left out: their number is -1.
     """
-    size = 16
+    size, shift = 16, np.uint64(60)  # 64 less the bits of a slot
     while size < _ROOM * keys.size:
         size *= 2
-    shift, mask = np.uint64(64), np.uint64(size - 1)
-    bits = size
-    while bits > 1:
-        bits //= 2
         shift -= np.uint64(1)
-    slots = np.empty(size, np.int64)
-    for k in range(size):
-        slots[k] = -1
+    mask, slots = np.uint64(size - 1), np.full(size, -1, np.int64)
     number, first, count = np.empty(keys.size, np.int64), np.empty(keys.size, np.int64), np.zeros(keys.size, np.int64)
     m = 0
     for k in range(keys.size):
@@ -60,14 +51,9 @@ def numbered(keys):
 
 @njit(cache=True)
 def cube_keys(points, labels, share):
-    """Keys of the cubes that points (N, 3) lie in, (N,), of one width within each label and power of two of the range.
+    """Keys of the cubes that points (N, 3), seen from the origin, lie in, (N,), ordered by width, label (N,) and place.
 
-    Ordered by width, label and place. -1 where the label (N,) is below nought.
-
-    Args:
-        points: seen from the origin, m.
-        labels: of the points.
-        share: width of a cube as a share of the range, rounded down to a power of two metres.
+    A cube is as wide as this share of the range, rounded down to a power of two metres. -1: the label is below nought.
     """
     keys, most = np.empty(labels.size, np.int64), 0
     side = 2 * (int(2.0 / share) + 2)  # cubes to either side, no more than a range divided by half a width
@@ -80,7 +66,7 @@ def cube_keys(points, labels, share):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         level = frexp(share * max(np.sqrt(x * x + y * y + z * z), 1e-3))[1] - 1
         width = 2.0**level
-        key = (level + _LEVELS) * (most + 1) + labels[k]
+        key = (level + 1024) * (most + 1) + labels[k]  # never below nought
         key = key * side + int(np.floor(x / width)) + side // 2
         key = key * side + int(np.floor(y / width)) + side // 2
         keys[k] = key * side + int(np.floor(z / width)) + side // 2
@@ -97,8 +83,7 @@ def moments(points, number, count):
             for a in range(3):
                 mean[m, a] += points[k, a]
     for m in range(count.size):
-        for a in range(3):
-            mean[m, a] /= count[m]
+        mean[m] /= count[m]
     for k in range(number.size):
         m = number[k]
         if m >= 0:
@@ -113,23 +98,13 @@ def moments(points, number, count):
     return mean, scatter
 
 
-def moments_about(
-    seeds: FloatArray, points: FloatArray, reaches: FloatArray, least: int
-) -> tuple[FloatArray, FloatArray]:
+@njit(cache=True)
+def moments_about(seeds, points, reaches, least):
     """Mean (K, 3) and covariance (K, 3, 3) of the points within reach of each seed that has so many of them at least.
 
-    Args:
-        seeds: shape (N, 3).
-        points: shape (M, 3), the first column ascending.
-        reaches: shape (N,).
-        least: how many.
+    Seeds (N, 3) reach so far, (N,); the first column of the points (M, 3) ascends.
     """
-    return _moments_about(seeds, points, reaches, np.searchsorted(points[:, 0], seeds[:, 0] - reaches), least)
-
-
-@njit(cache=True)
-def _moments_about(seeds, points, reaches, starts, least):
-    """The same; `starts` (N,) are the first points that may lie within reach."""
+    starts = np.searchsorted(points[:, 0], seeds[:, 0] - reaches)
     mean, scatter, kept = np.zeros((len(seeds), 3)), np.zeros((len(seeds), 3, 3)), 0
     members = np.empty(len(points), np.int64)
     for s in range(len(seeds)):
@@ -145,15 +120,12 @@ def _moments_about(seeds, points, reaches, starts, least):
         for m in members[:n]:
             for a in range(3):
                 mean[kept, a] += points[m, a]
-        for a in range(3):
-            mean[kept, a] /= n
+        mean[kept] /= n
         for m in members[:n]:
             for a in range(3):
                 for b in range(3):
                     scatter[kept, a, b] += (points[m, a] - mean[kept, a]) * (points[m, b] - mean[kept, b])
-        for a in range(3):
-            for b in range(3):
-                scatter[kept, a, b] /= n - 1
+        scatter[kept] /= n - 1
         kept += 1
     return mean[:kept], scatter[:kept]
 
@@ -203,11 +175,9 @@ def jumps(points, ranges, labels, steps, inset, rules):
 
 @inlined
 def _is_away(near_m, far_m, inner_m, reach, apart, rules):
-    """Whether a range is so far behind the one before that no surface joins the two; `rules` as in `jumps`.
+    """Whether a range, so many beams apart, is so far behind the near one that no surface joins the two; see `jumps`.
 
-    Args:
-        near_m, far_m: the ranges, so many beams `apart`.
-        inner_m: that of so many beams before the near one as `reach` says; NaN: nothing is known of the surface there.
+    What is `reach` beams before the near one tells how its surface goes on; NaN: nothing does.
     """
     behind_m, behind_share, behind_steps, _ = rules
     change = abs(near_m - inner_m)

@@ -22,15 +22,10 @@ class Returns(NamedTuple):
     """Returns of a scan, as `Surface` has them."""
 
     points: FloatArray
-    """Shape (N, 2), m."""
     normals: FloatArray
-    """Shape (N, 2)."""
     variance: FloatArray
-    """Shape (N,), m^2."""
     looks: FloatArray
-    """Shape (N,)."""
     turns: FloatArray
-    """Shape (N,)."""
 
 
 @inlined
@@ -189,7 +184,5 @@ def score_box(scan, looks, pose, table, origin, cell, turns, steps):
                     sums, near = scores[t, b, first:last], table[row + b, column + first : column + last]
                     for a in range(sums.shape[0]):
                         sums[a] += looks[i] * near[a]
-        for b in range(side):
-            for a in range(side):
-                scores[t, b, a] /= max(total, 1e-12)
+    scores /= max(total, 1e-12)
     return scores

@@ -48,10 +48,9 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
         turns (B,): the square of the sine by which a normal is expected to err.
     """
     count = points.shape[0]
-    normals = np.empty((count, 2))
+    normals = np.full((count, 2), np.nan)
     variance, looks, turns = np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(count):
-        normals[i, 0] = normals[i, 1] = np.nan
         reach = np.sqrt(away[i, 0] ** 2 + away[i, 1] ** 2)
         low, high = _neighbours(points, i, max(LEAST_GAP_M, GAP_STEPS * reach * angle_step))
         number = high - low + 1

@@ -31,10 +31,7 @@ def mark(beams, origin, cell, margin, hits, passes):
 def squared_distances(hits, reach):
     """Squared distance, in cells, of every cell to the nearest with a hit; 2 reach^2 + 1 beyond `reach`, (H, W)."""
     rows, columns = hits.shape
-    result = np.empty((rows, columns), dtype=np.int64)
-    for r in range(rows):
-        for c in range(columns):
-            result[r, c] = 2 * reach * reach + 1
+    result = np.full((rows, columns), 2 * reach * reach + 1, np.int64)
     for r in range(rows):
         for c in range(columns):
             if hits[r, c] == 0:
