@@ -46,13 +46,9 @@ def place_beams(
     track: OdometryTrack,
     model: SensorModel,
 ) -> RegisteredScans:
-    """Registered scans (S, B, 3), placed as if each were taken at its middle beam, with every beam where it was.
+    """Registered scans (S, B, 3) with every beam where it was.
 
-    Args:
-        placed: the scans at `kf_T_body`.
-        scans: what they were made from.
-        kf_T_body: pose of the body at the middle of each scan, shape (S, 4, 4).
-        sensor, track, model: whose they are, how the body moved, how beams err.
+    They are placed as if each were taken at its middle beam, with the body at `kf_T_body`, shape (S, 4, 4).
     """
     if sensor.sweep_s == 0.0:
         return placed

@@ -14,10 +14,6 @@ from spplanes.spmodel import skew
 
 #: Information about a motion, 1 / m^2 and 1 / rad^2, that stands for none.
 _NO_INFORMATION = 1e-2
-#: A floor is level to no less than this, m and rad: keeps the information finite where a rig states 0.
-_LEAST_SIGMA = 1e-6
-#: Information that adds less than this share to that of the walls is left out.
-_WORTH = 0.5
 
 
 def plane_information(observation: Observation, normal: FloatArray | None = None) -> FloatArray:
@@ -56,7 +52,7 @@ def floor_information(motion: Motion | None) -> FloatArray:
     if motion is not None and motion.is_planar:
         z, roll, pitch = motion.out_of_plane_sigmas
         for axis, sigma in ((0, roll), (1, pitch), (5, z)):
-            information[axis, axis] = max(sigma, _LEAST_SIGMA) ** -2
+            information[axis, axis] = max(sigma, 1e-6) ** -2  # finite where a rig states 0
     return information
 
 
@@ -82,17 +78,14 @@ def left_open(found: FloatArray, by_walls: FloatArray) -> FloatArray | None:
     """Covariance of what returns say of a motion beyond what the matched walls say of it already; None: nothing.
 
     The walls' factors are in the graph, and come from the same returns. Along a corridor they say nothing, door frames
-    and corners do. In the axes in which both covariances are diagonal, information of the walls is taken off.
-
-    Args:
-        found: covariance of (x, y, theta) by all returns, shape (3, 3).
-        by_walls: covariance by the walls, large where they leave it open, shape (3, 3).
+    and corners do. In the axes in which both covariances (3, 3) of (x, y, theta) are diagonal, information of the walls
+    is taken off; theirs is large where they leave it open.
     """
     values, vectors = np.linalg.eigh(found)
     root = vectors / np.sqrt(values)  # information = root root^T
     shares, axes = np.linalg.eigh(np.linalg.inv(root) @ np.linalg.inv(by_walls) @ np.linalg.inv(root).T)
     gained = np.maximum(1.0 - shares, 0.0)
-    if gained.max() < _WORTH:
+    if gained.max() < 0.5:  # too small a share of what the walls say
         return None
     turned = root @ axes
     values, vectors = np.linalg.eigh((turned * gained) @ turned.T + _NO_INFORMATION * np.eye(3))

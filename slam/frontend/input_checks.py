@@ -13,10 +13,8 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
-from spplanes._check import FloatArray, as_float_array, as_shape, as_transform, check_instance
+from spplanes._check import FloatArray, as_shape, as_transform, check_instance
 
-#: A sensor is silent after so many of its own periods, and never before so many seconds.
-_PERIODS, _LEAST_S = 20.0, 2.0
 #: Poses lie within this of where they are measured from, planes within that of their own middle, m.
 _FARTHEST_M, _LARGEST_PLANE_M = 1e7, 2e3
 #: Standard deviations that the graph can tell from none and from ignorance, m and rad.
@@ -81,7 +79,6 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
 
 
 def _check_places(keyframe: Keyframe, index: int) -> None:
-    """Refuse matches with what is no place of before."""
     for number, match in enumerate(keyframe.places):
         name = f"keyframe.places[{number}]"
         if not 0 <= match.keyframe < index:
@@ -114,7 +111,7 @@ def silences(log: Log, rig: Rig) -> list[str]:
             sentences.append(f"sensor {name!r} is silent: no scan of it in the log")
             continue
         period_s = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
-        limit_s = max(_PERIODS * period_s, _LEAST_S)
+        limit_s = max(20.0 * period_s, 2.0)
         gaps = np.diff(np.append(stamps, last_ns)) * 1e-9
         if gaps.max() > limit_s:
             at = int(np.argmax(gaps))
@@ -151,7 +148,7 @@ def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...])
     if covariance.shape not in [(size, size) for size in sizes]:
         wanted = " or ".join(f"({size}, {size})" for size in sizes)
         raise ValueError(f"{name}: expected shape {wanted}, got {covariance.shape}")
-    _check_finite(name, as_float_array(name, covariance))
+    as_shape(name, covariance, covariance.shape)
     if (np.abs(covariance - covariance.T) > 1e-12 + 1e-6 * np.abs(covariance)).any():
         raise ValueError(f"{name}: expected a covariance, got a matrix that is not symmetric")
     least, *_, most = np.linalg.eigvalsh(covariance).tolist()
@@ -180,7 +177,6 @@ def _check_wheels(name: str, motion: Motion) -> None:
 
 
 def _check_pose(name: str, pose: FloatArray) -> None:
-    _check_finite(name, pose)
     as_transform(name, pose)
     _check_near(name, pose[:3, 3], _FARTHEST_M)
 
@@ -189,8 +185,3 @@ def _check_near(name: str, values: FloatArray, most: float) -> None:
     largest = float(np.abs(values).max(initial=0.0))
     if not largest <= most:
         raise ValueError(f"{name}: expected coordinates up to {most:g} m, got {largest:.3g} m")
-
-
-def _check_finite(name: str, values: FloatArray) -> None:
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: expected finite numbers, got {values[~np.isfinite(values)][0]}")

@@ -19,15 +19,11 @@ from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 from spplanes.registration import interpolate_poses
 
-#: A robot whose odometry never leaves the floor by more than this drives on it, m and rad.
-_PLANAR_TOLERANCE = 1e-9
 #: Of (x, y, heading) in SP order.
 PLANAR_IN_SP = (0, 1, 3)
 #: Odometry has jumped where one step is so many times as fast as those beside it, and as all of the drive but the
 #: fastest hundredth: of five real robots' 37,000 steps none is 7 times as fast. No jump is as short, m and rad.
 _JUMPS, _FASTEST, _LEAST_M, _LEAST_RAD = 10.0, 0.01, 0.05, 0.05
-#: Of fewer steps nobody can tell how fast they are as a rule.
-_FEW = 20
 #: Standard deviations of z, roll and pitch, m and rad, of a planar motion that says nothing of the floor.
 NO_FLOOR = (1e2, 1e2, 1e2)
 
@@ -143,10 +139,8 @@ class OdometryTrack:
 
     @cached_property
     def is_planar(self) -> bool:
-        """Whether no reading leaves the floor."""
-        rotations = self._poses[:, :3, :3]
-        out = np.abs(self._poses[:, 2, 3]), np.abs(rotations[:, 2, :2]).max(axis=1)
-        return bool(max(out[0].max(initial=0.0), out[1].max(initial=0.0)) <= _PLANAR_TOLERANCE)
+        """Whether no reading leaves the floor, in height or by a lean, m and rad."""
+        return bool(np.abs(self._poses[:, 2, [0, 1, 3]]).max(initial=0.0) <= 1e-9)
 
     def poses_at(self, stamps_ns: Sequence[int]) -> FloatArray:
         """odom_T_body at each time, shape (N, 4, 4), interpolated; before the first and after the last it stands."""
@@ -224,7 +218,7 @@ def _jumps(stamps_ns: np.ndarray, poses: FloatArray) -> np.ndarray:
 
     Those that are alone as fast as nothing else, in distance or in turning: a robot that starts goes on.
     """
-    if len(stamps_ns) <= _FEW:
+    if len(stamps_ns) <= 20:  # nobody can tell how fast they are as a rule
         return np.zeros(0, dtype=np.int64)
     steps = np.linalg.inv(poses[:-1]) @ poses[1:]
     turns = Rotation.from_matrix(steps[:, :3, :3]).magnitude()
@@ -239,8 +233,7 @@ def _jumps(stamps_ns: np.ndarray, poses: FloatArray) -> np.ndarray:
 def _continued(stamps_ns: np.ndarray, poses: FloatArray, jumps: np.ndarray) -> tuple[FloatArray, FloatArray]:
     """Poses (N, 4, 4) without the jumps: for each the step before it, or after it, once more.
 
-    Returns:
-        The poses; and the covariance of such a step: how much steps differ from the one before, GTSAM order, (6, 6).
+    And the covariance of such a step: how much steps differ from the one before, GTSAM order, (6, 6).
     """
     if not len(jumps):
         return poses, np.zeros((6, 6))

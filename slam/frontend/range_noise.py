@@ -25,20 +25,12 @@ from slam.sensors.scan_noise import shown_by_lines, with_beam_sigma
 from spplanes._check import FloatArray
 from spplanes.clouds.scatter import misses_of
 
-#: Clouds of a sensor that are looked at, more of the first than of the last.
-_CLOUDS = 6
-#: Fewer neighbours than this say nothing.
-_MIN_MISSES = 500
 #: A quarter of normal deviates lie within so many standard deviations. Edges, clutter and curved things add large
 #: misses: a low quantile hardly sees them.
 _QUANTILE, _WITHIN = 0.25, 0.31863936396437514
 #: What a rig states is refuted by so many times as much. In honest drives through 11 kinds of buildings, cluttered ones
 #: among them, scans of five kinds of sensors show 0.86 to 1.05 times what is stated.
 _REFUTED = 1.2
-#: Beams meet a surface at less than this tangent of the incidence, or they tell its unevenness more than their noise.
-_STEEPEST = 2.0
-#: Rounds in which the noise of the beams comes to what is seen beside the parts of the rig's noise that stay.
-_ROUNDS = 5
 
 #: Rigs looked at already, by their log: what was given, and what came of it.
 _KNOWN: WeakKeyDictionary[Log, tuple[Rig, Rig]] = WeakKeyDictionary()
@@ -80,9 +72,8 @@ def _as_lines_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Se
 
 
 def _as_clouds_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
-    """A 3D sensor with as much noise as neighbours in its clouds show."""
     grids, result = _grids(scans, sensor), sensor
-    for _ in range(_ROUNDS):
+    for _ in range(5):  # the noise of the beams comes to what is seen beside the parts of the rig's noise that stay
         factor = noise_factor(grids, result)
         if factor is None or factor <= (_REFUTED if result is sensor else 1.0):
             break
@@ -94,13 +85,11 @@ def _as_clouds_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> S
 def noise_factor(grids: list[FloatArray], sensor: Sensor) -> float | None:
     """How many times the noise that a sensor states its beams scatter by; None where too little is seen.
 
-    Args:
-        grids: points of scans, each (S, B, 3) with neighbours in a row, m, in the sensor's frame; NaN = no return.
-        sensor: what is stated.
+    Grids are points of scans, each (S, B, 3) with neighbours in a row, m, in the sensor's frame; NaN = no return.
     """
     seen = [np.empty(0), *(_normalised(grid, sensor) for grid in grids)]
     missed = np.abs(np.concatenate(seen))
-    return float(np.quantile(missed, _QUANTILE)) / _WITHIN if len(missed) >= _MIN_MISSES else None
+    return float(np.quantile(missed, _QUANTILE)) / _WITHIN if len(missed) >= 500 else None
 
 
 def _normalised(grid: FloatArray, sensor: Sensor) -> FloatArray:
@@ -112,16 +101,16 @@ def _normalised(grid: FloatArray, sensor: Sensor) -> FloatArray:
         rays = grid / ranges[..., None]
         turned = np.linalg.norm(rays[:, 2:] - rays[:, :-2], axis=-1)
         tangent = np.abs(ranges[:, 2:] - ranges[:, :-2]) / (here * turned)
-        used = np.isfinite(missed) & (tangent < _STEEPEST)
+        used = np.isfinite(missed) & (tangent < 2.0)  # steeper beams tell the unevenness of a surface
     square = np.square(tangent[used])
     variance = sensor.range_variance_at(here[used]) + sensor.surface_sigma_m**2 * (1.0 + square)
     return missed[used] / np.sqrt(variance + np.square(here[used] * sensor.bearing_sigma_rad) * square)
 
 
 def _grids(scans: Sequence[LaserScan | CloudScan], sensor: Sensor) -> list[FloatArray]:
-    """Points of some clouds as grids; what cannot be read is left to whoever measures it."""
+    """Points of six clouds, the first rather than the last, as grids; whoever measures them says what is unreadable."""
     found = []
-    for index in np.unique(np.geomspace(1.0, len(scans), _CLOUDS).astype(int)) - 1:
+    for index in np.unique(np.geomspace(1.0, len(scans), 6).astype(int)) - 1:
         try:
             points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
             found.append(in_rows(points, sensor))

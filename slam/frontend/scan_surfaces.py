@@ -42,20 +42,9 @@ _LEAST_ON_PLANE, _LEAST = 3, 6
 #: An element's own points tell a direction when its second extent is this share of the first (variances), its
 #: thickness that of the second, and it is seen steeper than this (sine).
 _BROAD, _FLAT, _STEEP = 0.1, 0.1, 0.15
-#: Grids with more points than this are thinned evenly before elements are made of them.
-_MOST_POINTS = 80_000
-#: Between the two sides of an edge there is no return over at most this angle, rad: what casts a shadow hides it.
-_GAP_RAD = 0.08
-#: What lies behind an edge is farther by this, m, by this share of the range, and by this many times the step before.
-_BEHIND_M, _BEHIND_SHARE, _BEHIND_STEPS = 0.1, 0.04, 4.0
 #: Points within this share of the range of each other tell the direction of an edge; it is straight when their second
 #: extent is at most this share of the first (variances).
 _ALONG_SHARE, _STRAIGHT = 0.05, 0.05
-#: Edges are taken so far inside, rad, in whole beams, where returns are of the near side alone: the pixels of a camera
-#: blur two sides into one.
-_INSET_RAD = 0.004
-#: Of the lines of a grid one of so many tells how far apart beams are.
-_SOME_LINES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +83,7 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
         planes: rows (normal, d) by label, n.x = d, shape (P, 4).
         sensor: how it errs, and where it sits.
     """
-    every = int(np.ceil(np.sqrt(max(np.isfinite(points[..., 0]).sum() / _MOST_POINTS, 1.0))))
+    every = int(np.ceil(np.sqrt(max(np.isfinite(points[..., 0]).sum() / 80_000, 1.0))))  # grids of more are thinned
     thin, thin_labels = points[::every, ::every].reshape(-1, 3), labels[::every, ::every].reshape(-1).astype(np.int64)
     on_plane = np.where(np.isfinite(thin[:, 0]), thin_labels, -1)
     rest = np.where(np.isfinite(thin[:, 0]) & (thin_labels < 0), 0, -1)
@@ -164,7 +153,8 @@ def _sigma(cells: _Cells, sensor: Sensor) -> FloatArray:
 
 def _on_edges(points: FloatArray, labels: np.ndarray, width: float) -> FloatArray:
     """Edges before something farther: known across the edge and across the line of sight, to a beam's width, rad."""
-    inset = round(_INSET_RAD / width) if width > 0.0 else 0
+    # so far inside, rad, in whole beams, returns are of the near side alone: a camera's pixels blur two sides into one
+    inset = round(0.004 / width) if width > 0.0 else 0
     found = _edge_points(points, labels, inset)
     if len(found) < _LEAST:
         return np.empty((0, WIDTH))
@@ -181,7 +171,7 @@ def _on_edges(points: FloatArray, labels: np.ndarray, width: float) -> FloatArra
 def _beams_apart(points: FloatArray) -> tuple[float, float]:
     """Angles between neighbouring beams of a grid along its rows and its columns, rad; the other's where it has one."""
     widths = []
-    for lines in (points[::_SOME_LINES], points[:, ::_SOME_LINES].transpose(1, 0, 2)):
+    for lines in (points[::16], points[:, ::16].transpose(1, 0, 2)):  # a few lines tell
         with np.errstate(invalid="ignore", divide="ignore"):
             rays = lines / np.sqrt(np.einsum("lbi,lbi->lb", lines, lines))[..., None]
         apart = np.diff(rays, axis=1)
@@ -205,7 +195,8 @@ def _edge_points(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArr
         (columns, rows, 1, columns, 0),
         (columns, rows, 1, -columns, (rows - 1) * columns),
     )
-    rules = _BEHIND_M, _BEHIND_SHARE, _BEHIND_STEPS, float(np.cos(_GAP_RAD))
+    # over 0.08 rad at most there is no return between the two sides of an edge: what casts a shadow hides it
+    rules = 0.1, 0.04, 4.0, float(np.cos(0.08))
     found = np.concatenate([jumps(flat, ranges, numbers, way, inset, rules) for way in ways])
     found = found[np.lexsort(found.T[::-1])]
     return found[np.append(True, (np.diff(found, axis=0) != 0.0).any(axis=1))[: len(found)]]

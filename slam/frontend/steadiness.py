@@ -57,11 +57,9 @@ class Usual(NamedTuple):
         return self._replace(rates=np.exp(rare - np.logaddexp(usual, rare)))
 
     def less(self, change: FloatArray, least: FloatArray | float = 0.0) -> FloatArray:
-        """By how much less than those of any body the variances of a change are, shape (A,): usual or rare, as likely.
+        """By how much less than those of any body, `change` (A,), the variances of a change are, shape (A,).
 
-        Args:
-            change: the variances of any body, shape (A,).
-            least: of a usual change, shape (A,).
+        It is usual or rare, as likely; those of a usual one are not below `least`, (A,).
         """
         usual = np.maximum(_FREEDOM / (_FREEDOM - 2.0) * self.shares**2 * change, least)
         return np.asarray((1.0 - self.rates) * np.maximum(change - usual, 0.0), dtype=np.float64)
@@ -78,14 +76,11 @@ class Steadiness:
     def usual(self) -> Usual:
         """As far as is known."""
         if self._known is None:
-            self._known = self._mean()
+            posterior = np.broadcast_to(_PRIOR, (len(_SHARES), len(_RATES), self._axes)) + sum(self._steps)
+            weights = np.exp(posterior - logsumexp(posterior, axis=(0, 1)))
+            shares = np.exp(np.einsum("sra,s->a", weights, np.log(_SHARES)))
+            self._known = Usual(shares, np.einsum("sra,r->a", weights, _RATES))
         return self._known
-
-    def _mean(self) -> Usual:
-        posterior = np.broadcast_to(_PRIOR, (len(_SHARES), len(_RATES), self._axes)) + sum(self._steps)
-        weights = np.exp(posterior - logsumexp(posterior, axis=(0, 1)))
-        shares = np.exp(np.einsum("sra,s->a", weights, np.log(_SHARES)))
-        return Usual(shares, np.einsum("sra,r->a", weights, _RATES))
 
     def learn(self, off: FloatArray, change: FloatArray, known: FloatArray, told: np.ndarray) -> None:
         """Take in a step, arguments as of `Usual.log_densities`; axes that it does not tell of, mask (A,), are left."""

@@ -36,19 +36,13 @@ from spplanes.segmentation.scans import label_scans
 
 #: Images that are looked at, spread over the log; thinned evenly where they have more rows than so many.
 _IMAGES, _ROWS = 24, 240
-#: All that a camera sees lies within this of the middle of its image, rad; and its rays differ between images by less.
-_VIEW_RAD, _SAME_RAY = np.deg2rad(60.0), 1e-3
 #: An image is cut into so many cells down and across; and waves down and across it, half as many.
 _CELLS, _WAVES = (12, 16), (6, 8)
 #: A cell is of a plane by this share of its pixels, a plane of at least so many cells.
 _SHARE, _LEAST_CELLS = 0.1, 12
-#: Least share of a beam's variance across a plane, however edge-on it is seen.
-_EDGE_ON = 1e-3
 #: Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen so far
 #: while that puts pieces together, so often at most.
 _LOOKS = 6
-#: Rounds in which the unevenness of surfaces and the warp come to each other.
-_ROUNDS = 4
 #: Standard deviations of an octave that are tried, of one and 1/m; and how often both in turn at most.
 _OCTAVES, _TURNS = np.geomspace(1e-5, 0.1, 33).tolist(), 5
 
@@ -110,8 +104,9 @@ def _are_of_one_camera(image: FloatArray, other: FloatArray) -> bool:
     if not len(seen):
         return True
     turns = seen @ seen.mean(axis=0)
-    narrow = np.all(turns > np.cos(_VIEW_RAD) * np.linalg.norm(seen, axis=1) * np.linalg.norm(seen.mean(axis=0)))
-    return bool(narrow and np.all(apart[np.isfinite(apart)] < _SAME_RAY))
+    most = np.deg2rad(60.0)  # from the middle of the image
+    narrow = np.all(turns > np.cos(most) * np.linalg.norm(seen, axis=1) * np.linalg.norm(seen.mean(axis=0)))
+    return bool(narrow and np.all(apart[np.isfinite(apart)] < 1e-3))
 
 
 def _planes_in(points: FloatArray, sensor: Sensor, warp: RangeWarp | None) -> list[_Cells]:
@@ -134,7 +129,7 @@ def _planes_in(points: FloatArray, sensor: Sensor, warp: RangeWarp | None) -> li
             continue
         means, numbers = means[full], numbers[full]
         ranges, normal = np.linalg.norm(means, axis=1), _frame(means)[:3, 2]
-        slant = np.maximum(np.square(means @ normal / ranges), _EDGE_ON)
+        slant = np.maximum(np.square(means @ normal / ranges), 1e-3)  # however edge-on it is seen
         variances, own_waves = slant * sensor.range_variance_at(ranges) / count[full], every[numbers]
         planes.append(_Cells(means, variances, np.hstack((own_waves, own_waves * ranges[:, None]))))
     return planes
@@ -155,7 +150,7 @@ def warp_of(planes: Sequence[_Cells]) -> RangeWarp | None:
         return None
     prior = _priors()
     weights, gain = np.zeros(len(prior)), 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(4):  # the unevenness of surfaces and the warp come to each other
         weights, gain = _likeliest(*_told(planes, weights), prior)
     if 2.0 * gain < chdtri(2, SIGNIFICANCE):
         return None

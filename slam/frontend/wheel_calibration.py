@@ -12,8 +12,6 @@ from slam.frontend.odometry import Motion, difference, planar_delta, spatial_cov
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from spplanes._check import FloatArray
 
-#: A motion further from its prediction than this probability allows teaches nothing: something else is wrong.
-_SIGNIFICANCE = 1e-2
 #: Way over which wheels are taken to change by as much as was unknown of them at first, m.
 _MEMORY_M = 500.0
 
@@ -66,35 +64,28 @@ class WheelCalibration:
         return replace(motion, a_T_b=shifted, covariance=covariance)
 
     def learn(self, predicted: Motion, a_T_b: FloatArray, covariance: FloatArray) -> None:
-        """Take in what became of a predicted motion.
+        """Take in what became of a motion that `predict` gave: a_T_b (4, 4) by the estimate.
 
-        Args:
-            predicted: As `predict` gave it.
-            a_T_b: The motion by the estimate, shape (4, 4).
-            covariance: Of its (x, y, theta), shape (3, 3), in the axes of a.
+        The covariance is that of its (x, y, theta), shape (3, 3), in the axes of a.
         """
         if self.covariance is None or self.shared or predicted.response is None or not predicted.is_planar:
             return
         correction = difference(planar_delta(a_T_b), planar_delta(predicted.a_T_b))
         told = np.linalg.solve(predicted.covariance, correction)
         gained = predicted.covariance - covariance
-        if correction @ told > chdtri(3, _SIGNIFICANCE) or np.linalg.eigvalsh(gained)[-1] <= 0.0:
-            return
+        if correction @ told > chdtri(3, 1e-2) or np.linalg.eigvalsh(gained)[-1] <= 0.0:
+            return  # something else is wrong, or nothing was seen
         gain = self.covariance @ np.linalg.solve(predicted.covariance, response_as_moved(predicted, a_T_b)).T
         self.mean = self.mean + gain @ correction
         self.covariance = self.covariance - gain @ positive(gained) @ gain.T
 
 
 def response_as_moved(motion: Motion, a_T_b: FloatArray) -> FloatArray:
-    """The response of a motion, shape (3, 2), by how far the body moved: for a scale that is the way itself.
+    """The response of a motion, (3, 2), by how far the body moved, a_T_b (4, 4): for a scale that is the way itself.
 
     As measured the way has the noise that the scale is to explain. Taken for it, n steps whose way across, say, is told
     and none along pull the scale towards -1 by as much as n measurements of it, each with a sigma of 1: they are
     explained as soon as nothing counts.
-
-    Args:
-        motion: as it was measured.
-        a_T_b: the motion by the estimate, shape (4, 4).
     """
     assert motion.response is not None
     response = motion.response.copy()

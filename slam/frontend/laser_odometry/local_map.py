@@ -23,10 +23,6 @@ _WAYS = 8
 TABLE_CELL_M, TABLE_SIGMA_M = 0.1, 0.1
 #: Length of wall whose returns count as one independent look, m.
 LOOK_M = 0.5
-#: Length of the way whose scans are the local map, m, and the most of them: turns on the spot make no way.
-_WINDOW_M, _MOST_SCANS = 6.0, 40
-#: A scan of more beams is thinned to one in so many that no more than these are left.
-_MOST_BEAMS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,7 @@ class Surface:
     @classmethod
     def of(cls, scan: LaserScan, ranges: FloatArray, sensor: Sensor, body_T_sensor: FloatArray) -> Surface:
         """From a scan with its usable ranges (B,), NaN = no return, of a level laser."""
-        every = max(1, -(-len(ranges) // _MOST_BEAMS))
+        every = max(1, -(-len(ranges) // 400))  # thinned evenly to no more beams
         ranges, angles = ranges[::every], scan.angles[::every]
         seen = np.isfinite(ranges)
         directions = np.stack((np.cos(angles[seen]), np.sin(angles[seen])), axis=1) @ body_T_sensor[:2, :2].T
@@ -153,9 +149,9 @@ class SlidingMap:
         self._surfaces.append(surface)
         self._poses.append(pose)
         way, first = 0.0, len(self._poses) - 1
-        while first > 0 and len(self._poses) - first < _MOST_SCANS:
+        while first > 0 and len(self._poses) - first < 40:  # turns on the spot make no way
             way += float(np.hypot(*(self._poses[first] - self._poses[first - 1])[:2]))
-            if way > _WINDOW_M:
+            if way > 6.0:  # m
                 break
             first -= 1
         del self._surfaces[:first], self._poses[:first]

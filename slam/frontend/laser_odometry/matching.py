@@ -24,16 +24,12 @@ _BASIN_M = 0.12
 #: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge,
 #: or nothing in it fits as usual, it is doubled, so many times, and ends here.
 _SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
-#: Cells and turns are so many times coarser there: an alignment finds what lies within them.
-_COARSER = 2.0
 _LEAST_BOX = (0.2, 0.1)
 #: Modes of the search that are looked at, if they are this share as near as the best.
 _MODES, _RIVAL = 5, 0.75
 #: A scan fits worse than scans before it where its share lies so many standard deviations below theirs; a motion
 #: contradicts the wheels beyond this chi2 (1e-3 for three degrees of freedom).
 _SIGNIFICANT, _CONTRADICTS = 3.0, 16.3
-#: Returns that the search uses.
-_SEARCHED = 90
 #: Places nearer than this are one, m and rad.
 _SAME = np.array((0.1, 0.1, 0.05))
 
@@ -87,8 +83,7 @@ def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usua
     much the others leave open is said.
 
     Args:
-        surface: the scan.
-        there: the map.
+        surface, there: the scan, the map.
         ways: the wheels, if any, and constant velocity, for wheels slip.
         usual_fit: share of the looks that fit, of scans before.
 
@@ -127,13 +122,9 @@ def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequenc
     scan = Returns(surface.points, surface.normals, surface.variance, surface.looks, surface.turns)
     prior = ways[way].pose, inverted(ways[way].covariance)
     pose, told, erring, far, fit, misfit = align(start, scan, there.cells, *prior, _ROUNDS, 2.0 * _BASIN_M)
-    return _Found(pose, _without(told, erring, far), fit, misfit, way)
-
-
-def _without(told: FloatArray, erring: FloatArray, far: float) -> FloatArray:
-    """Information about (x, y, theta) less what errs of it, not below none; a turn counts by its arc at `far`, m."""
+    # less what errs of it, not below none; a turn counts by its arc at `far`
     scale = np.outer((1.0, 1.0, far), (1.0, 1.0, far))
-    return positive((told - erring) / scale) * scale
+    return _Found(pose, positive((told - erring) / scale) * scale, fit, misfit, way)
 
 
 def _searched(
@@ -149,7 +140,7 @@ def _searched(
     reach = [min(max(one, least), most) for one, least, most in zip(full, _LEAST_BOX, _FIRST_BOX, strict=True)]
     found: list[_Found] = []
     for widening in range(_WIDENINGS + 1):
-        coarser = _COARSER if widening else 1.0
+        coarser = 2.0 if widening else 1.0  # of cells and turns: an alignment finds what lies within them
         modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far, coarser)
         found += [_aligned(surface, there, mode, ways, way) for mode in modes]
         unlike = all(_fits_worse(one, surface, usual_fit) for one in found)
@@ -169,7 +160,7 @@ def _modes(
     """Poses in a box, so many m and rad to either side, about which the scan lies near the map's surfaces, best first;
     and whether the best is at the edge of the box, in place and in heading. Steps are so many times coarser."""
     (table, origin), cell = there.table(coarser), coarser * TABLE_CELL_M
-    every = max(1, len(surface) // _SEARCHED)
+    every = max(1, len(surface) // 90)  # so many returns tell
     points, looks = np.ascontiguousarray(surface.points[::every]), np.ascontiguousarray(surface.looks[::every])
     step = cell / max(far, 1.0)
     steps, turns = int(np.ceil(reach[0] / cell)), int(np.ceil(reach[1] / step))

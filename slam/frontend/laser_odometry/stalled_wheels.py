@@ -24,9 +24,6 @@ from slam.sensors.rig import Sensor
 
 #: Wheels stand that are nearer than this to where they were, m and rad.
 STANDING = 1e-3
-#: A return differs from those of its beam by more than noise where it does by so many standard deviations, for the rig
-#: may state too little.
-_DIFFERS = 6.0
 #: Most returns that people hide; and that are farther than usual, because somebody who stood there has left.
 _HIDDEN, _LEFT = 0.5, 0.15
 #: Fewer slices of one place are too few to tell.
@@ -78,6 +75,6 @@ def _sees_another_place(scans: Sequence[LaserScan], sensor: Sensor) -> bool:
     told = np.isfinite(ranges)
     ranges, returns = ranges[:, told.any(axis=0)], np.maximum(told.sum(axis=1), 1)
     usual = np.nanmedian(ranges, axis=0)
-    least = _DIFFERS * np.sqrt(sensor.range_variance_at(usual))
+    least = 6.0 * np.sqrt(sensor.range_variance_at(usual))  # as many: the rig may state too little
     nearer, farther = ((off > least).sum(axis=1) / returns for off in (usual - ranges, ranges - usual))
     return bool(np.any((nearer > _HIDDEN) | (farther > _LEFT)))

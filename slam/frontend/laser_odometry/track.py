@@ -16,9 +16,6 @@ from slam.sensors.log import OdometryReading
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
-#: Information about a pose, 1 / m^2 and 1 / rad^2, that stands for none.
-_NO_INFORMATION = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -40,12 +37,7 @@ class Step:
 class LaserTrack(OdometryTrack):
     """Poses of all scans by laser odometry; a motion's covariance says what wheels and returns know of it each."""
 
-    def __init__(
-        self,
-        steps: Sequence[Step],
-        noise: OdometryNoise,
-        between: Sequence[OdometryReading] = (),
-    ) -> None:
+    def __init__(self, steps: Sequence[Step], noise: OdometryNoise, between: Sequence[OdometryReading] = ()) -> None:
         """Readings between the scans, before the first and after the last, are of the same frame."""
         readings = [OdometryReading(step.stamp_ns, planar_transform(*step.pose)) for step in steps]
         super().__init__(sorted((*readings, *between), key=lambda one: one.stamp_ns), noise, can_jump=False)
@@ -86,7 +78,7 @@ class LaserTrack(OdometryTrack):
 
 def matched_covariance(first: Step, last: Step, delta: FloatArray) -> FloatArray:
     """Covariance (3, 3) of a motion (x, y, theta) between two scans, by the returns of both in the local map."""
-    nothing = _NO_INFORMATION * np.eye(3)
+    nothing = 1e-3 * np.eye(3)  # 1 / m^2 and 1 / rad^2: as good as no information
     a, b = (inverted(step.returns + nothing) for step in (first, last))
     carry = np.eye(3)
     carry[:2, 2] = -delta[1], delta[0]
@@ -102,12 +94,7 @@ def motion_between(
     As long as wheels agree with the matched motion they are what was measured, with the noise that was learnt of them
     where it is more than what was stated. Wheels that slip, stand still or are not there measure nothing: then the
     matched motion stands in, as wide as it is without the returns. What these say is kept beside it in both cases.
-
-    Args:
-        track: laser odometry.
-        wheels: what was measured; None: nothing.
-        stamps_ns: of the two keyframes.
-        significance: probability that honest wheels are refuted.
+    `significance` is the probability that honest wheels are refuted.
     """
     matched = track.motion(*stamps_ns)
     measured = None if wheels is None else wheels.motion(*stamps_ns)
@@ -117,9 +104,8 @@ def motion_between(
     spread = measured.covariance + matched.returns_covariance
     if track.slipped(*stamps_ns) or error @ np.linalg.solve(spread, error) > chdtri(3, significance):
         return replace(matched, refuted_a_T_b=measured.a_T_b)
-    covariance = _larger(measured.covariance, matched.covariance)
     told = {"returns_a_T_b": matched.a_T_b, "returns_covariance": matched.returns_covariance}
-    return replace(measured, covariance=covariance, **told)
+    return replace(measured, covariance=_larger(measured.covariance, matched.covariance), **told)
 
 
 def _larger(stated: FloatArray, learnt: FloatArray) -> FloatArray:

@@ -31,15 +31,11 @@ from slam.sensors.rig import Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
-#: What is driven or turned between two scans of the local map, m and rad.
-_SPACING_M, _SPACING_RAD = 0.25, 0.3
 #: A match is taken when the map has this share of the scan; a scan joins the map where it lies there as likely as this.
 _LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
 #: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
 #: yet, by how many times: of the first steps the rig alone knows.
 _SLIP, _WORSE, _TIMES = 1e-3, 0.05, 4.0
-#: Scans over which the usual fit is averaged, and what it is at first.
-_FIT_MEMORY, _FIRST_FIT = 50.0, 0.9
 #: Degrees of freedom of a step's Student t distribution, per axis.
 _TAIL = 4.0
 #: Steps that the stated noise is worth before anything is seen, and over which what was learnt is forgotten.
@@ -92,7 +88,7 @@ class LaserOdometry:
         self._velocity = VelocityFilter(coasting, stamp_sigma_s)
         self._map = SlidingMap()
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
-        self._fit = _FIRST_FIT
+        self._fit = 0.9  # as usual, over some fifty scans
         self.steps: list[Step] = []
         self._since: list[FloatArray] = []
         self._key = 0
@@ -140,18 +136,14 @@ class LaserOdometry:
         if wheels is None:
             usual, kept, share = self._velocity.usually(seconds)
             return [(usual, self._not_below_floor(kept), share), (delta, covariance, 1.0 - share)]
-        led, known = self._by_wheels(wheels)
+        _, response, random = self._stated([wheels])
+        learnt = self._calibration.covariance
+        if learnt is None:
+            learnt = np.diag(np.square(self._noise.calibration_sigmas))
+        led = wheels + response @ self._calibration.mean
+        known = self._scale.scaled(random) + response @ learnt @ response.T
         worse = led, _TIMES**2 * known, _WORSE
         return [(led, known, 1.0 - _WORSE - _SLIP), worse, (delta, covariance, _SLIP)]
-
-    def _by_wheels(self, wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The next step by wheels, less what is known to be wrong with them."""
-        _, response, random = self._stated([wheels])
-        learnt = self._calibration
-        known = learnt.covariance
-        if known is None:
-            known = np.diag(np.square(self._noise.calibration_sigmas))
-        return wheels + response @ learnt.mean, self._scale.scaled(random) + response @ known @ response.T
 
     def _stated(self, steps: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The whole of steps, its response to the wheels' calibration, and its covariance without that."""
@@ -175,14 +167,14 @@ class LaserOdometry:
         if there is None or len(surface) < 3:
             return None
         match = match_scan(surface, there, expected, self._fit)
-        self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / _FIT_MEMORY
+        self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / 50.0
         return match
 
     def _extend_map(self, surface: Surface, pose: FloatArray, match: Match | None) -> None:
         """Add the scan to the map when the body has come far enough, and learn from the way since the last one."""
         last = self._map.last_pose
         moved = np.array((np.inf, np.inf, np.inf)) if last is None else between(last, pose)
-        if np.hypot(*moved[:2]) < _SPACING_M and abs(moved[2]) < _SPACING_RAD:
+        if np.hypot(*moved[:2]) < 0.25 and abs(moved[2]) < 0.3:  # m and rad
             return
         if match is not None and match.fit >= _LEAST_FIT and match.odds < _LEAST_ODDS:
             return
@@ -206,11 +198,7 @@ class LaserOdometry:
         known = predicted.covariance - random + self._scale.scaled(random)
         posterior = inverted(inverted(known) + matched)
         error = estimate - planar_delta(predicted.a_T_b)
-        self._calibration.learn(
-            Motion(predicted.a_T_b, known, motion.out_of_plane_sigmas, response, sigmas),
-            planar_transform(*estimate),
-            posterior,
-        )
+        self._calibration.learn(replace(predicted, covariance=known), planar_transform(*estimate), posterior)
         self._scale.learn(error, random, posterior, known)
 
 

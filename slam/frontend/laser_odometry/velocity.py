@@ -10,8 +10,6 @@ from slam.config import CoastingConfig
 from slam.frontend.steadiness import Steadiness, Usual
 from spplanes._check import FloatArray
 
-#: Intervals count as at most so many times what three in four stay below: in a pause no scan was late.
-_LONGEST, _USUALLY = 3.0, 0.75
 #: A step tells how the body moves along an axis where what was seen has more than this share in it.
 _TOLD = 0.5
 
@@ -96,7 +94,6 @@ class VelocityFilter:
         self._before_s = seconds
 
     def _usual(self) -> Usual:
-        """How this body changes its velocity along the three axes."""
         each = [one.usual() for one in self._steadiness]
         return Usual(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
 
@@ -119,6 +116,6 @@ def stamp_sigma(stamps_ns: Sequence[int]) -> float:
     intervals = 1e-9 * np.diff(np.asarray(stamps_ns, dtype=np.int64))
     if len(intervals) < 3:
         return 0.0
-    intervals = np.minimum(intervals, _LONGEST * np.quantile(intervals, _USUALLY))
+    intervals = np.minimum(intervals, 3.0 * np.quantile(intervals, 0.75))  # in a pause no scan was late
     away = intervals - intervals.mean()
     return float(np.sqrt(max(-np.mean(away[1:] * away[:-1]), 0.0)))

@@ -18,9 +18,6 @@ from spplanes._check import FloatArray
 CELL_M = 0.05
 #: Standard deviation of a return from where the raster has its surface, m: noise, the cell and the wall's unevenness.
 SIGMA_M = 0.05
-#: Points are thinned to one in squares of at least this side, m, and to at most so many.
-SPACING_M = 0.1
-MOST_POINTS = 300
 #: A return is of a surface when a neighbouring beam's lies within this, m: others graze it, or hit its edge.
 SURFACE_GAP_M = 0.3
 #: Share of returns that come from what was not there, or not seen, when the other view was taken.
@@ -28,7 +25,6 @@ NOVEL_SHARE = 0.1
 _REACH = 3
 #: Cosine of the largest lean of a laser whose scans are compared across poses: 3 deg.
 LEVEL_COSINE = float(np.cos(np.radians(3.0)))
-_SIGMAS_TO_FREE = 3.0
 #: Neighbouring returns further apart than so many steps of the beams at their range, and m, are of two surfaces.
 GAP_STEPS, LEAST_GAP_M = 6.0, 0.15
 #: What is narrower and stands free may move, m.
@@ -55,7 +51,7 @@ class Raster:
         high = np.maximum(beams[:, :2], beams[:, 2:]).max(axis=0) + _REACH * CELL_M
         columns, rows = np.ceil((high - low) / CELL_M).astype(int) + 1
         hits, passes = np.zeros((rows, columns), dtype=np.int32), np.zeros((rows, columns), dtype=np.int32)
-        mark(beams, low, CELL_M, _SIGMAS_TO_FREE * SIGMA_M, hits, passes)
+        mark(beams, low, CELL_M, 3.0 * SIGMA_M, hits, passes)
         squared = squared_distances(hits, _REACH)
         mean_range = float(np.linalg.norm(beams[:, 2:] - beams[:, :2], axis=1).mean())
         points, spacing = thin(beams[:, 2:])
@@ -63,12 +59,12 @@ class Raster:
 
 
 def thin(points: FloatArray) -> tuple[FloatArray, float]:
-    """The first point in every square, shape (M, 2), and the side of the squares, m: the smallest with few enough."""
-    spacing = SPACING_M
+    """The first point in every square, at most 300, (M, 2), and the side of the squares, m: the least, from 0.1 on."""
+    spacing = 0.1
     while True:
         squares = np.floor((points - points.min(axis=0)) / spacing).astype(np.int64)
         _, first = np.unique(squares[:, 0] * (squares[:, 1].max() + 1) + squares[:, 1], return_index=True)
-        if first.size <= MOST_POINTS:
+        if first.size <= 300:
             return points[np.sort(first)], spacing
         spacing *= 1.25
 
