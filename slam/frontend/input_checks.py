@@ -111,7 +111,7 @@ def silences(log: Log, rig: Rig) -> list[str]:
             sentences.append(f"sensor {name!r} is silent: no scan of it in the log")
             continue
         period_s = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
-        limit_s = max(20.0 * period_s, 2.0)
+        limit_s = max(20.0 * period_s, 2.0)  # so many scans, and never so few seconds
         gaps = np.diff(np.append(stamps, last_ns)) * 1e-9
         if gaps.max() > limit_s:
             at = int(np.argmax(gaps))

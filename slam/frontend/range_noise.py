@@ -89,7 +89,7 @@ def noise_factor(grids: list[FloatArray], sensor: Sensor) -> float | None:
     """
     seen = [np.empty(0), *(_normalised(grid, sensor) for grid in grids)]
     missed = np.abs(np.concatenate(seen))
-    return float(np.quantile(missed, _QUANTILE)) / _WITHIN if len(missed) >= 500 else None
+    return float(np.quantile(missed, _QUANTILE)) / _WITHIN if len(missed) >= 500 else None  # fewer say nothing
 
 
 def _normalised(grid: FloatArray, sensor: Sensor) -> FloatArray:

@@ -160,7 +160,7 @@ def _modes(
     """Poses in a box, so many m and rad to either side, about which the scan lies near the map's surfaces, best first;
     and whether the best is at the edge of the box, in place and in heading. Steps are so many times coarser."""
     (table, origin), cell = there.table(coarser), coarser * TABLE_CELL_M
-    every = max(1, len(surface) // 90)  # so many returns tell
+    every = max(1, len(surface) // 90)  # so many returns are enough
     points, looks = np.ascontiguousarray(surface.points[::every]), np.ascontiguousarray(surface.looks[::every])
     step = cell / max(far, 1.0)
     steps, turns = int(np.ceil(reach[0] / cell)), int(np.ceil(reach[1] / step))

@@ -75,6 +75,6 @@ def _sees_another_place(scans: Sequence[LaserScan], sensor: Sensor) -> bool:
     told = np.isfinite(ranges)
     ranges, returns = ranges[:, told.any(axis=0)], np.maximum(told.sum(axis=1), 1)
     usual = np.nanmedian(ranges, axis=0)
-    least = 6.0 * np.sqrt(sensor.range_variance_at(usual))  # as many: the rig may state too little
+    least = 6.0 * np.sqrt(sensor.range_variance_at(usual))  # so many, for the rig may state too little
     nearer, farther = ((off > least).sum(axis=1) / returns for off in (usual - ranges, ranges - usual))
     return bool(np.any((nearer > _HIDDEN) | (farther > _LEFT)))
