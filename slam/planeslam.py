@@ -26,7 +26,7 @@ from slam.map.state import EstimatorState
 from slam.mapping.consistency import NisAudit
 from slam.mapping.fusion import Merges
 from slam.mapping.map_observability import open_in_map
-from slam.mapping.map_update import LateMatch, MapUpdate, MapUpdater
+from slam.mapping.map_update import LateMatch, MapUpdater
 from slam.mapping.observability import Observability, OpenStretch
 from slam.mapping.same_plane import SamePlaneFinder
 from slam.session.explanations import change_sentences, decision_sentence
@@ -157,11 +157,11 @@ class PlaneSlam:
         self.audit.add(keyframe.observations, prediction, decisions, self.landmarks, self.backend)
         self.recorder.decided(prediction.index, decisions)
         self.observability.add(keyframe.observations, prediction, decisions, self.landmarks, self.backend)
-        update = self._update(keyframe, prediction, decisions)
+        touched = self._update(keyframe, prediction, decisions)
         self._calibrate(prediction)
-        self.late_matches += self._match_late(update)
-        self._split_wrong_merges(update, decisions)
-        self._merge_same_planes(update.touched)
+        self.late_matches += self._match_late(prediction.index, touched)
+        self._split_wrong_merges(touched, decisions)
+        self._merge_same_planes(touched)
         self._close_loops()
         return KeyframeReport(prediction.index, self.backend.pose(prediction.pose_key), decisions)
 
@@ -181,12 +181,12 @@ class PlaneSlam:
         )
 
     @timed("update")
-    def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> MapUpdate:
-        """Add the factors of matches and of new landmarks, then count what was seen."""
-        update = self._map_updater.update(keyframe, prediction, decisions)
+    def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> set[int]:
+        """Add the factors of matches and of new landmarks, then count what was seen; ids of the landmarks touched."""
+        touched = self._map_updater.update(keyframe, prediction, decisions)
         self.keyframes.append(keyframe)
         self.decisions.append(decisions)
-        return update
+        return touched
 
     @timed("learn wheels")
     def _calibrate(self, prediction: Prediction) -> None:
@@ -198,16 +198,16 @@ class PlaneSlam:
             self.merges.bent(moved_m)
 
     @timed("update")
-    def _match_late(self, update: MapUpdate) -> list[LateMatch]:
+    def _match_late(self, keyframe: int, touched: set[int]) -> list[LateMatch]:
         """Earlier observations of the landmarks that this keyframe started."""
         self.landmarks.refresh(self.backend)
-        return self._map_updater.match_late(update)
+        return self._map_updater.match_late(keyframe, touched)
 
     @timed("same plane")
-    def _split_wrong_merges(self, update: MapUpdate, decisions: Sequence[Decision]) -> None:
+    def _split_wrong_merges(self, touched: set[int], decisions: Sequence[Decision]) -> None:
         """Take back merges and closures that what has been seen since speaks against."""
         compared = {candidate.landmark for decision in decisions for candidate in decision.candidates}
-        for merge in self.merges.doubted(update.touched | compared, self.audit.mean_per_dof):
+        for merge in self.merges.doubted(touched | compared, self.audit.mean_per_dof):
             if merge.undone is None:
                 self.merges.split_if_two(merge)
         self._closer.take_back(self.audit.mean_per_dof)

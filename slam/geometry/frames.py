@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from spplanes._check import FloatArray
 from spplanes.outlines.extents import lift as lift
+from spplanes.outlines.extents import settle_frames
 from spplanes.spmodel import inverse_transform as inverse
 
 #: A quaternion, a normal or a rotation that somebody wrote down may miss unit norm by this much: four digits.
@@ -33,13 +34,7 @@ def settle_frame(frame: FloatArray, normal: FloatArray, d: float) -> FloatArray:
         normal: Unit normal, shape (3,), less than 90 deg from the frame's z axis.
         d: Hesse distance, m.
     """
-    settled = np.eye(4)
-    x_axis = frame[:3, 0] - normal * (normal @ frame[:3, 0])
-    x_axis = x_axis / np.linalg.norm(x_axis)
-    settled[:3, :3] = np.column_stack((x_axis, np.cross(normal, x_axis), normal))
-    origin = frame[:3, 3]
-    settled[:3, 3] = origin + normal * (d - normal @ origin)
-    return settled
+    return settle_frames(frame[None], normal[None], np.array([d]))[0]
 
 
 def planar_transform(x: float, y: float, theta: float) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -177,25 +178,13 @@ def innovations_without_prediction(linear: _Linearised) -> list[tuple[float, int
     everything.
     """
     jacobian, residual, ends = linear.at()
-    residual, by_pose = _whitened(jacobian, residual, linear.covariance, linear.of_pose)
-    left = [_left_over(residual[:end], by_pose[:end]) for end in ends]
-    return [
-        (max(chi2 - before, 0.0), dof - used) for (chi2, dof), (before, used) in zip(left[1:], left[:-1], strict=True)
-    ]
-
-
-def _whitened(
-    jacobian: FloatArray, residual: FloatArray, covariance: FloatArray, of_pose: np.ndarray
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals (n,) and their derivative by the pose (n, 6), in units of what measurements and map let them be.
-
-    A row depends on no residual after its own.
-    """
-    by_map = jacobian.copy()
-    by_map[:, of_pose] = 0.0
-    root = np.linalg.cholesky(by_map @ covariance @ by_map.T + np.eye(len(residual)))
-    both: FloatArray = np.asarray(np.linalg.solve(root, np.column_stack((residual, jacobian[:, of_pose]))), float)
-    return both[:, 0], both[:, 1:]
+    by_map, by_pose = jacobian.copy(), jacobian[:, linear.of_pose]
+    by_map[:, linear.of_pose] = 0.0
+    root = np.linalg.cholesky(by_map @ linear.covariance @ by_map.T + np.eye(len(residual)))
+    # in units of what measurements and map let them be; a row depends on no residual after its own
+    whitened = np.asarray(np.linalg.solve(root, np.column_stack((residual, by_pose))), float)
+    left = [_left_over(whitened[:end, 0], whitened[:end, 1:]) for end in ends]
+    return [(max(chi2 - before, 0.0), dof - used) for (before, used), (chi2, dof) in pairwise(left)]
 
 
 def _left_over(residual: FloatArray, by_pose: FloatArray) -> tuple[float, int]:

@@ -36,7 +36,7 @@ class Merge:
     younger: int
     """Id of the one that is gone."""
     cause: Cause
-    """twins: their difference passed its chi2; loop: a closure paired them."""
+    """same plane: their difference passed its chi2; loop: a closure paired them."""
     gone: Landmark
     """The younger as it was."""
     undone: int | None = None
@@ -105,17 +105,8 @@ class Merges:
         """Factors of what was seen of the younger, now of the older, and the indices of those they replace."""
         gone, home = self._landmarks[younger], self._landmarks[older]
         otherwise = self._config.backend.robust_loops if cause == "loop" else None
-        factors = [
-            observation_factor(
-                self._observation(sighting),
-                pose_symbol(sighting.keyframe),
-                home,
-                self._backend,
-                sighting.robust or otherwise,
-            )
-            for sighting in gone.sightings
-        ]
-        return factors, [sighting.factor_index for sighting in gone.sightings]
+        factors = [self._factor(one, home, one.robust or otherwise) for one in gone.sightings]
+        return factors, [one.factor_index for one in gone.sightings]
 
     def _joined(
         self, pairs: Sequence[tuple[int, int]], factor_indices: Sequence[Sequence[int]], cause: Cause
@@ -188,29 +179,29 @@ class Merges:
         for merge in self.history:
             if merge.undone is not None or merge.next_look > now:
                 continue
-            if now > merge.keyframe + _FRESH and self._holder(merge).id not in seen:
+            holder = self._holder(merge)
+            if now > merge.keyframe + _FRESH and holder.id not in seen:
                 continue
             merge.next_look = now + max(2 * (now - merge.keyframe), 1)
-            misfit, dof = self._residual(merge)
-            if not dof:  # all of it was seen from keyframes that have left the graph
+            taken = self._taken(merge, holder)[:_SAMPLE]
+            if not taken:  # all of it was seen from keyframes that have left the graph
                 continue
+            misfit = sum(self._misfit(one, holder) for one in taken)
+            dof = sum(3 if one.kind == "plane" else 2 for one in taken)
             limit = float(chdtri(dof, self._config.association.new_significance))
             if misfit > max(scale, 1.0) * limit:
                 found.append((misfit / limit, merge))
         return [merge for _, merge in sorted(found, key=lambda one: (-one[0], one[1].keyframe, one[1].younger))]
 
-    def split_if_two(self, merge: Merge) -> bool:
+    def split_if_two(self, merge: Merge) -> None:
         """Undo a doubted merge, and merge again if the two, each by its own measurements, still pass for one."""
         holder = self._holder(merge)
         self.undo(merge)
         back = self._landmarks[merge.younger]
         limit = float(chdtri(3, self._config.association.new_significance))
-        if same_plane_chi2(holder, back, self._backend) > limit:
-            return True
-        self._apart.discard(frozenset((holder.id, back.id)))
-        again = self.merge(holder.id, back.id, merge.cause)
-        again.next_look = merge.next_look
-        return False
+        if same_plane_chi2(holder, back, self._backend) <= limit:
+            self._apart.discard(frozenset((holder.id, back.id)))
+            self.merge(holder.id, back.id, merge.cause).next_look = merge.next_look
 
     def _holder(self, merge: Merge) -> Landmark:
         """The landmark that has the sightings of a merged one now."""
@@ -227,18 +218,13 @@ class Merges:
     def _observation(self, sighting: Sighting) -> Observation:
         return self._keyframes[sighting.keyframe].observations[sighting.observation]
 
-    def _residual(self, merge: Merge) -> tuple[float, int]:
-        """Chi2 and degrees of freedom of the merged landmark's own measurements, as they are explained now."""
-        holder = self._holder(merge)
-        taken = self._taken(merge, holder)[:_SAMPLE]
-        dof = sum(3 if one.kind == "plane" else 2 for one in taken)
-        return sum(self._misfit(one, holder) for one in taken), dof
+    def _factor(self, sighting: Sighting, landmark: Landmark, robust: str | None = None) -> Any:
+        pose_key = pose_symbol(sighting.keyframe)
+        return observation_factor(self._observation(sighting), pose_key, landmark, self._backend, robust)
 
     def _misfit(self, sighting: Sighting, landmark: Landmark) -> float:
         """Chi2 of a sighting if it is of a landmark."""
-        factor = observation_factor(
-            self._observation(sighting), pose_symbol(sighting.keyframe), landmark, self._backend
-        )
+        factor = self._factor(sighting, landmark)
         return 2.0 * float(factor.error(self._backend.values_of(factor.keys())))
 
     def _move(
@@ -247,35 +233,24 @@ class Merges:
         """Re-key sightings from one landmark to another; `initial`: with them its variable comes into the graph."""
         if not sightings:
             return
-        values, factors = gtsam.Values(), []
-        rest = list(sightings)
+        values, factors, rest = gtsam.Values(), [], list(sightings)
         if initial:
-            first = rest.pop(0)
-            factors.append(self._founding_factor(first, target, values))
+            factors.append(self._founding_factor(rest.pop(0), target, values))
         known = values if initial else self._backend.values_of([target.key])
-        for sighting in rest:
-            anchor_T_body = inverse(self._backend.pose(target.anchor_key)) @ self._backend.pose(
-                pose_symbol(sighting.keyframe)
-            )
-            expected = known.atOrientedPlane3(target.key).transform(gtsam.Pose3(anchor_T_body))
-            factors.append(
-                self._observation(sighting).factor(
-                    pose_symbol(sighting.keyframe),
-                    target.key,
-                    target.anchor_key,
-                    sighting.robust,
-                    None if target.anchor_key == pose_symbol(sighting.keyframe) else expected,
-                )
-            )
-        old = [sighting.factor_index for sighting in sightings]
+        world_T_anchor, plane = self._backend.pose(target.anchor_key), known.atOrientedPlane3(target.key)
+        for one in rest:
+            pose_key = pose_symbol(one.keyframe)
+            anchor_T_body = inverse(world_T_anchor) @ self._backend.pose(pose_key)
+            expected = None if target.anchor_key == pose_key else plane.transform(gtsam.Pose3(anchor_T_body))
+            factors.append(self._observation(one).factor(pose_key, target.key, target.anchor_key, one.robust, expected))
+        old = [one.factor_index for one in sightings]
         indices = self._backend.update(factors, values, remove=old, relinearize=True)
         moved = {(one.keyframe, one.observation) for one in sightings}
         points = sum(self._observation(one).n_points for one in sightings)
         source.n_points, target.n_points = source.n_points - points, target.n_points + points
         source.sightings = [one for one in source.sightings if (one.keyframe, one.observation) not in moved]
-        target.sightings = target.sightings + [
-            replace(one, factor_index=i) for one, i in zip(sightings, indices, strict=True)
-        ]
+        anew = [replace(one, factor_index=i) for one, i in zip(sightings, indices, strict=True)]
+        target.sightings = target.sightings + anew  # another list: what counts them looks at which one it is
 
     def _founding_factor(self, sighting: Sighting, landmark: Landmark, values: gtsam.Values) -> gtsam.NonlinearFactor:
         """The factor that a landmark starts with: of full rank, what a line leaves open closed by the rule's tilt."""

@@ -14,7 +14,7 @@ from slam.backend.estimator import Backend, pose_symbols
 from slam.config import BOUND_SIGMAS, ObservabilityConfig
 from slam.frontend.keyframes import Keyframe
 from slam.map.landmarks import Landmark, LandmarkMap
-from slam.mapping.observability import NOTHING, OpenDirection, OpenStretch, gathered, wide_directions
+from slam.mapping.observability import NOTHING, OpenStretch, gathered, wide_directions
 from spplanes._check import FloatArray
 from spplanes._hesse import frame_from_hesse
 
@@ -61,13 +61,11 @@ def open_in_map(
         for row, covariance in zip(looked_at, found, strict=True)
         for direction in wide_directions(held[row], covariance, np.eye(3), rules)
     ]
-    return [_summed_up(group, len(looked_at)) for group in gathered(open_ones)]
-
-
-def _summed_up(group: Sequence[OpenDirection], looked_at: int) -> OpenStretch:
-    widest = max(group, key=lambda one: one.sigma_seen)
-    keyframes = tuple(sorted({one.keyframe for one in group}))
-    return OpenStretch(widest.part, widest.direction, keyframes, looked_at, widest.sigma_seen)
+    stretches = []
+    for group in gathered(open_ones):
+        widest, opened = max(group, key=lambda one: one.sigma_seen), tuple(sorted({one.keyframe for one in group}))
+        stretches.append(OpenStretch(widest.part, widest.direction, opened, len(looked_at), widest.sigma_seen))
+    return stretches
 
 
 class _Information:

@@ -38,17 +38,11 @@ def may_start(observation: Observation, rules: LandmarkConfig) -> bool:
         return long_enough and observation.n_points >= rules.min_line_points
     plane = observation.full_plane(0.0)
     tilt = float(np.sqrt(np.linalg.eigvalsh(plane.covariance[1:, 1:])[-1]))
-    return (is_large(plane, rules) and tilt <= rules.max_tilt_sigma_rad) or _is_firm(plane, tilt, rules)
-
-
-def _is_firm(plane: Plane, tilt: float, rules: LandmarkConfig) -> bool:
-    """Whether a patch too small to start a landmark is too sure to be the edge of something: the front of a lamp."""
-    return (
-        plane.n_points >= FIRM_POINTS
-        and tilt <= FIRM_TILT * rules.max_tilt_sigma_rad
-        and plane.outline is not None
-        and plane.outline.area >= FIRM_AREA * rules.min_area_m2
-    )
+    if is_large(plane, rules) and tilt <= rules.max_tilt_sigma_rad:
+        return True
+    # a patch so sure is the edge of nothing: the front of a lamp
+    firm = plane.n_points >= FIRM_POINTS and tilt <= FIRM_TILT * rules.max_tilt_sigma_rad
+    return firm and plane.outline is not None and plane.outline.area >= FIRM_AREA * rules.min_area_m2
 
 
 def is_large(plane: Plane, rules: LandmarkConfig) -> bool:
@@ -84,16 +78,6 @@ class LateMatch:
     """Its match, judged by the state at the time of the match."""
 
 
-@dataclass(frozen=True)
-class MapUpdate:
-    """What a keyframe changed in the map."""
-
-    keyframe: int
-    """Its index."""
-    touched: frozenset[int] = frozenset()
-    """Ids of the landmarks that it saw, new ones among them."""
-
-
 class MapUpdater:
     """Puts observations into the graph and lets the map know."""
 
@@ -105,8 +89,8 @@ class MapUpdater:
         #: its place.
         self._waiting: dict[int, list[int]] = {}
 
-    def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> MapUpdate:
-        """Add the factors of matches and of new landmarks, then count what was seen."""
+    def update(self, keyframe: Keyframe, prediction: Prediction, decisions: Sequence[Decision]) -> set[int]:
+        """Add the factors of matches and of new landmarks, then count what was seen; ids of the landmarks touched."""
         seen, initial = keyframe.observations, gtsam.Values()
         at, pose_key = prediction.index, prediction.pose_key
         insertions = [
@@ -120,19 +104,16 @@ class MapUpdater:
         if births:
             self._sparsifier.stays(anchor)
         matched = [insertion.observation for insertion in insertions]
-        leaves = self._sparsifier.judge(
-            at, matched, [insertion.factor for insertion in insertions], may_leave=not births
-        )
-        beyond = self._beyond_lines(prediction, matched)
+        factors = [insertion.factor for insertion in insertions]
+        leaves = self._sparsifier.judge(at, matched, factors, may_leave=not births)
         insertions += births
         used = {insertion.number for insertion in insertions}
-        unused = [] if leaves else [i for i in range(len(seen)) if i not in used]
-        self._let_wait(at, seen, unused)
-        factors = [*(insertion.factor for insertion in insertions), *prediction.pending, *beyond]
+        self._let_wait(at, seen, [] if leaves else [i for i in range(len(seen)) if i not in used])
+        factors = [*(one.factor for one in insertions), *prediction.pending, *self._beyond_lines(prediction, matched)]
         if not factors:
             if prediction.hints:
                 self._backend.update([], initial, remove=prediction.hints)
-            return MapUpdate(at)
+            return set()
         leaving, expected = [*prediction.standing_in, *prediction.hints], self._backend.pose(pose_key)
         indices = self._backend.update(factors, initial, remove=leaving, relinearize=prediction.planes_asked)
         turn = inverse(expected)[:3, :3] @ self._backend.pose(pose_key)[:3, :3]
@@ -142,7 +123,7 @@ class MapUpdater:
             self._see(insertion, at, factor_index, prediction.robust)
         for factor_index in indices[len(insertions) :]:
             self._sparsifier.linked(at, factor_index)
-        return MapUpdate(at, frozenset(insertion.landmark.id for insertion in insertions))
+        return {insertion.landmark.id for insertion in insertions}
 
     def _beyond_lines(self, prediction: Prediction, matched: Sequence[Observation]) -> list[Any]:
         """The factor of what the returns say of the motion beyond what was matched, if they do."""
@@ -152,10 +133,9 @@ class MapUpdater:
         beyond = information_beyond_lines(motion, matched)
         return [] if beyond is None else [beyond.factor(pose_symbol(prediction.index - 1), prediction.pose_key)]
 
-    def match_late(self, update: MapUpdate) -> list[LateMatch]:
-        """Match what earlier keyframes saw of the landmarks that this one started."""
-        at = update.keyframe
-        born = {number for number in update.touched if self._landmarks[number].first_keyframe == at}
+    def match_late(self, at: int, touched: Iterable[int]) -> list[LateMatch]:
+        """Match what earlier keyframes saw of those landmarks, of all that a keyframe touched, that it started."""
+        born = {number for number in touched if self._landmarks[number].first_keyframe == at}
         late, robust = self._matches_of_waiting(born, at), self._config.backend.robust
         for one in late:
             seen = self._keyframes[one.keyframe].observations[one.decision.observation]

@@ -24,10 +24,6 @@ Part = Literal["position", "orientation"]
 
 #: Keeps the information matrices invertible: the pose is known to a kilometre and to 30 rad anyway.
 NOTHING = np.diag([1e-3] * 3 + [1e-6] * 3)
-#: A direction closer than this to an axis is called by its name: cosine of 10 deg.
-_NEAR_AXIS = 0.985
-#: Directions of different keyframes are one when they are closer than this: cosine of 25 deg.
-_SAME = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,19 +111,15 @@ def open_directions(
     in_body = [None] * len(planes) if normals is None else [world_R.T @ normal for normal in normals]
     seen = (plane_information(plane, normal) for plane, normal in zip(planes, in_body, strict=True))
     information = sum(seen, start=NOTHING + floor_information(motion))
-    return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_T_body[:3, :3], rules)
+    return wide_directions(keyframe, np.asarray(np.linalg.inv(information), float), world_R, rules)
 
 
 def wide_directions(
     keyframe: int, covariance: FloatArray, world_R: FloatArray, rules: ObservabilityConfig
 ) -> list[OpenDirection]:
-    """Directions of position and orientation in which a covariance (6, 6) of (rotation, translation) is wide.
+    """Directions of position and orientation in which a keyframe's covariance (6, 6) is wide.
 
-    Args:
-        keyframe: whose.
-        covariance: along the axes that `world_R` (3, 3) turns to those of the world.
-        world_R: see there.
-        rules: from which standard deviation on.
+    It is of (rotation, translation), along axes that `world_R` (3, 3) turns to those of the world.
     """
     found: list[OpenDirection] = []
     parts: tuple[tuple[Part, slice, float, float], ...] = (
@@ -206,7 +198,7 @@ class Observability:
         stretches = []
         for group in gathered(self.history):
             part, last = group[0].part, group[-1].keyframe
-            signs = [1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group]
+            signs = (1.0 if one.direction @ group[0].direction > 0.0 else -1.0 for one in group)
             mean = _upright(np.sum([sign * one.direction for sign, one in zip(signs, group, strict=True)], axis=0))
             sigma, source = sigma_along(part, mean, last, backend), _source_of(keyframes[last].motion)
             opened = tuple(sorted({one.keyframe for one in group}))
@@ -222,24 +214,23 @@ def _source_of(motion: Motion | None) -> str:
 
 
 def gathered(directions: Iterable[OpenDirection]) -> list[list[OpenDirection]]:
-    """Directions that are the same in groups, those of most keyframes first."""
+    """Directions that are the same, up to 25 deg, in groups, those of most keyframes first."""
     groups: list[list[OpenDirection]] = []
-    for direction in directions:
-        home = next(
-            (g for g in groups if g[0].part == direction.part and _is_same(g[0].direction, direction.direction)), None
-        )
-        if home is None:
-            groups.append([direction])
+    for one in directions:
+        for group in groups:
+            if group[0].part == one.part and abs(float(group[0].direction @ one.direction)) >= 0.9:
+                group.append(one)
+                break
         else:
-            home.append(direction)
+            groups.append([one])
     return sorted(groups, key=lambda group: -len({one.keyframe for one in group}))
 
 
 def name_of(part: Part, direction: FloatArray) -> str:
-    """Name of a direction in the world: along or about an axis, or the vector itself."""
+    """Name of a direction in the world: along or about an axis, up to 10 deg, or the vector itself."""
     word = "along" if part == "position" else "about"
     axis = int(np.argmax(np.abs(direction)))
-    if abs(direction[axis]) >= _NEAR_AXIS:
+    if abs(direction[axis]) >= 0.985:
         return f"{word} {'xyz'[axis]}"
     return f"{word} ({', '.join(f'{x:.2f}' for x in direction)})"
 
@@ -256,7 +247,3 @@ def _upright(vector: FloatArray) -> FloatArray:
     """The unit vector of a direction without a sense: its largest component positive."""
     unit = vector / np.linalg.norm(vector)
     return unit if unit[np.argmax(np.abs(unit))] > 0.0 else -unit
-
-
-def _is_same(a: FloatArray, b: FloatArray) -> bool:
-    return abs(float(a @ b)) >= _SAME

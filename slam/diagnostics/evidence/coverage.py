@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -17,15 +17,11 @@ from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
-from slam.mapping.observability import OpenStretch, name_of, sigma_along
+from slam.mapping.observability import name_of, sigma_along
 from slam.planeslam import PlaneSlam
 from slam.registration.relocalization import sigmas_of
 from spplanes._check import FloatArray
 
-#: Keyframes with fewer than this many are no drive: nothing in them was seen twice and held against a third.
-_LEAST_KEYFRAMES = 3
-#: What is nearer to level than this is a floor or a ceiling, or a ramp: cosine of 15 deg.
-_LEVEL = 0.966
 #: A sound run is wrong by a place taken for another more seldom than with this probability: that a run is wrong and
 #: does not say so counts three times as much as that one is right and doubted.
 MOST_WRONG = 0.25
@@ -37,21 +33,21 @@ def coverage_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     No statistic is needed: where nothing could have spoken against the map, that nothing did says nothing for it.
     """
     frames = range(len(run.keyframes))
-    if len(frames) < _LEAST_KEYFRAMES:
+    if len(frames) < 3:
         number = "1 keyframe" if len(frames) == 1 else f"{len(frames)} keyframes"
-        yield _certain(len(frames), frames, f"the run has only {number}: nothing was seen thrice")
+        yield _certain(frames, f"the run has only {number}: nothing was seen thrice")
         return
     wanted = run.config.landmarks.min_observations
     if not any(landmark.n_keyframes >= wanted and landmark.sightings for landmark in run.landmarks):
-        yield _certain(len(frames), frames, f"the map is empty: no plane was seen again at {named(frames)}")
+        yield _certain(frames, f"the map is empty: no plane was seen again at {named(frames)}")
         return
     if run.unplaced:
         lost = f"what was seen at {named(run.unplaced)} fits nowhere, and nobody measured the motion to there"
-        yield _certain(len(run.unplaced), run.unplaced, f"{lost}: an assumption alone placed them")
+        yield _certain(run.unplaced, f"{lost}: an assumption alone placed them")
     blind = keyframes_without_wall(run)
     if 2 * len(blind) > len(frames) - 1:
         much = f"{len(blind)} of {len(frames) - 1} keyframes saw no wall that was known"
-        yield _certain(len(blind), blind, f"{much} ({named(blind)}): odometry or an assumption alone placed them")
+        yield _certain(blind, f"{much} ({named(blind)}): odometry or an assumption alone placed them")
 
 
 def keyframes_without_wall(run: PlaneSlam) -> list[int]:
@@ -63,7 +59,7 @@ def keyframes_without_wall(run: PlaneSlam) -> list[int]:
     for index, pose in enumerate(run.trajectory.poses[1:], 1):
         seen = enumerate(run.keyframes[index].observations)
         normals = [observation.normal for k, observation in seen if (index, k) in matched]
-        if not any(abs(pose[2, :3] @ normal) < _LEVEL for normal in normals):
+        if not any(abs(pose[2, :3] @ normal) < 0.966 for normal in normals):  # nearer to level, 15 deg, it is a floor
             blind.append(index)
     return blind
 
@@ -76,8 +72,8 @@ def _matched(run: PlaneSlam) -> set[tuple[int, int]]:
     return matched
 
 
-def _certain(count: int, keyframes: range | list[int], sentence: str) -> Evidence:
-    return Evidence("coverage", "doubtful", 0.0, float(count), "keyframes", tuple(keyframes), sentence)
+def _certain(keyframes: Sequence[int], sentence: str) -> Evidence:
+    return Evidence("coverage", "doubtful", 0.0, float(len(keyframes)), "keyframes", tuple(keyframes), sentence)
 
 
 def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
@@ -111,8 +107,12 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
         since = _adrift_since(run, one.direction, assumed) if unsure else np.inf
         wide = tuple(frame for frame in unsure if frame >= since)
         if wide:
-            worst = max(wide, key=lambda frame: sigmas[frame])
-            yield Evidence("assumption", "doubtful", 0.0, sigmas[worst], "m", wide, _sentence(one, wide, sigmas[worst]))
+            sigma = max(sigmas[frame] for frame in wide)
+            sentence = (
+                f"{name_of(one.part, one.direction)} nobody measured the motion and nothing that was seen tells it at "
+                f"{named(wide)}: that the body went on as before is an assumption (sigma up to {sigma:.2g} m)"
+            )
+            yield Evidence("assumption", "doubtful", 0.0, sigma, "m", wide, sentence)
 
 
 def _adrift_since(run: PlaneSlam, direction: FloatArray, assumed: set[int]) -> float:
@@ -138,13 +138,6 @@ def _is_told(motion: Motion) -> bool:
     if motion.refuted_a_T_b is None or motion.scan_matched is None:
         return motion.is_measured
     return sigmas_of(motion.scan_matched)[0] <= PROMISED_M
-
-
-def _sentence(one: OpenStretch, wide: tuple[int, ...], sigma: float) -> str:
-    return (
-        f"{name_of(one.part, one.direction)} nobody measured the motion and nothing that was seen tells it at "
-        f"{named(wide)}: that the body went on as before is an assumption (sigma up to {sigma:.2g} m)"
-    )
 
 
 def ambiguity_evidence(run: PlaneSlam) -> Iterator[Evidence]:

@@ -19,18 +19,13 @@ from slam.sensors.rig import Rig
 from slam.tracking.odometry_scale import scaled
 from spplanes._check import FloatArray
 
-#: Steps whose residuals are looked at, evenly over the run.
-_MOST_STEPS = 60
-
 #: What a user is promised of a sound map: no error beyond this, m, or so many of the standard deviations it claims.
 PROMISED_M, PROMISED_SIGMAS = 0.1, 3.0
-#: Poses whose standard deviation is looked at, evenly over the run.
-_MOST_POSES = 24
 
 
 def claimed_sigmas(run: PlaneSlam) -> dict[int, float]:
-    """Largest standard deviation of the position of some keyframes, by their index, m."""
-    chosen = evenly(len(run.keyframes), _MOST_POSES)
+    """Largest standard deviation of the position of some keyframes, evenly over the run, by their index, m."""
+    chosen = evenly(len(run.keyframes), 24)
     blocks = {key: run.backend.read_covariance(pose_symbol(key))[3:, 3:] for key in chosen}
     return {key: float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0))) for key, block in blocks.items()}
 
@@ -133,7 +128,7 @@ def believed_evidence(run: PlaneSlam) -> Iterator[Evidence]:
 
 
 def _steps(run: PlaneSlam) -> list[int]:
-    """Keyframes to which planar odometry leads between two that the graph still holds, evenly over the run.
+    """Keyframes to which planar odometry leads between two that the graph still holds, some 60 evenly over the run.
 
     Not those where it was not taken as stated: nothing rests there on what it states. Where that is half of all that
     scans were held against, it is not the wheels alone that may be wrong, and all count.
@@ -149,7 +144,7 @@ def _steps(run: PlaneSlam) -> list[int]:
         for k, motion in enumerate(motions)
         if k and k not in unused and motion is not None and motion.is_planar and all(held[k - 1 : k + 1])
     ]
-    return known[:: max(1, -(-len(known) // _MOST_STEPS))]
+    return known[:: max(1, -(-len(known) // 60))]
 
 
 class _Residual(NamedTuple):

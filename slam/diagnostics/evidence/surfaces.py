@@ -142,12 +142,9 @@ def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[E
     )
 
 
-#: Planes are one before the other, not one twice, from this distance on, m: there rays tell.
-_APART_M = 0.3
-#: Nearer than this two planes are one for all that a map is used for, m.
-_TOGETHER_M = 0.02
-#: Least share of the smaller of two planes that lies over the other.
-_OVERLAP = 0.5
+#: Nearer than this two planes are one for all that a map is used for; further apart than that they are one before the
+#: other, and not one twice: there rays tell, m.
+_TOGETHER_M, _APART_M = 0.02, 0.3
 
 
 def doubled_evidence(run: PlaneSlam, surfaces: Surfaces) -> Iterator[Evidence]:
@@ -184,20 +181,16 @@ def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:
     for small in range(len(areas)):
         larger = areas > areas[small]
         larger[:small] |= areas[:small] == areas[small]
-        centre = _centre(*surfaces.walls[small])
+        frame, outline = surfaces.walls[small]
+        centre = frame[:3, :2] @ np.array([outline.centroid.x, outline.centroid.y]) + frame[:3, 3]
         gaps = np.einsum("ni,ni->n", centre - frames[:, :3, 3], frames[:, :3, 2])
         alike = frames[:, :3, 2] @ frames[small, :3, 2] > ALIKE
         near = (np.abs(gaps) > _TOGETHER_M) & (np.abs(gaps) < _APART_M)
         for large in np.flatnonzero(larger & alike & near).tolist():
-            if _overlap(surfaces, large, small) >= _OVERLAP:
+            if _overlap(surfaces, large, small) >= 0.5:
                 found.append((surfaces.ids[large], surfaces.ids[small], float(gaps[large])))
                 break
     return found
-
-
-def _centre(frame: FloatArray, outline: _Area) -> FloatArray:
-    """A plane's middle in the world, shape (3,)."""
-    return frame[:3, :2] @ np.array([outline.centroid.x, outline.centroid.y]) + frame[:3, 3]
 
 
 def _overlap(surfaces: Surfaces, large: int, small: int) -> float:
