@@ -39,11 +39,6 @@ def moved_scans(points: np.ndarray, scan: np.ndarray, rng: np.random.Generator) 
     return points + errors[scan, :3] + errors[scan, 3:4] * turned
 
 
-def nees(plane: Plane, truth: Plane) -> float:
-    """Squared Mahalanobis distance of the truth by the plane's covariance, 3 on average."""
-    return plane.mahalanobis(truth)
-
-
 def main() -> None:
     """Fit one wall, then many."""
     rng = np.random.default_rng(0)
@@ -57,7 +52,8 @@ def main() -> None:
     print(f"predicted tilt sigmas: {np.degrees(sigma_theta):.3f} and {np.degrees(sigma_psi):.3f} deg")
     print(f"chi2 of the fit: {plane.chi2:.0f} for {plane.n_points - 3} degrees of freedom")
 
-    values = [nees(fit_plane(*measured(wall_points(rng, 300), rng), viewpoint=SENSOR), truth) for _ in range(400)]
+    fits = [fit_plane(*measured(wall_points(rng, 300), rng), viewpoint=SENSOR) for _ in range(400)]
+    values = [fit.mahalanobis(truth) for fit in fits]
     print(f"mean NEES of 400 fits: {np.mean(values):.2f} (3 is right, +- {np.sqrt(6 / 400):.2f})")
 
     told, untold = [], []
@@ -66,10 +62,9 @@ def main() -> None:
         points, covariances = measured(wall_points(rng, 300), rng)
         points = moved_scans(points, scan, rng)
         shared = np.tile(np.diag(POSE_SIGMAS**2), (10, 1, 1))
-        told.append(
-            nees(fit_plane(points, covariances, viewpoint=SENSOR, scan_index=scan, pose_covariances=shared), truth)
-        )
-        untold.append(nees(fit_plane(points, covariances, viewpoint=SENSOR), truth))
+        fit = fit_plane(points, covariances, viewpoint=SENSOR, scan_index=scan, pose_covariances=shared)
+        told.append(fit.mahalanobis(truth))
+        untold.append(fit_plane(points, covariances, viewpoint=SENSOR).mahalanobis(truth))
     print(f"10 scans with pose errors, 200 fits: mean NEES {np.mean(told):.2f} told of them (3 is right, ", end="")
     print(f"+- {np.sqrt(6 / 200):.2f}), {np.mean(untold):.2f} not told")
 

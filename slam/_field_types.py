@@ -59,14 +59,12 @@ def _test(hint: Any) -> Test:
         )
     if origin in (list, tuple, Sequence):
         test = _test(inside[0])
-        return lambda value: _is_sequence(value) and all(map(test, value))
+        return lambda value: (
+            isinstance(value, Sequence) and not isinstance(value, str | bytes) and all(map(test, value))
+        )
     alias = getattr(origin, "__value__", None)  # NDArray[...], from numpy 2.5 and Python 3.12 on
     if np.ndarray in (hint, origin, get_origin(alias)):
         return lambda value: isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
-    return _simple(hint)
-
-
-def _simple(hint: Any) -> Test:
     if hint is int:
         return _is_whole
     if hint is float:
@@ -80,7 +78,3 @@ def _simple(hint: Any) -> Test:
 
 def _is_whole(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and -_MOST <= int(value) < _MOST
-
-
-def _is_sequence(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)

@@ -24,21 +24,20 @@ def whole_file(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
         raise ValueError(f"{path}: expected a file to write, got a folder")
     if path.exists() and not overwrite:
         raise ValueError(f"{path}: exists already; give --overwrite to replace it")
+    scratch = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name[:100]}-", dir=path.parent)
         os.close(handle)
         scratch = Path(name)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({error.strerror})") from error
-    try:
         yield scratch
         scratch.chmod(0o644)
         os.replace(scratch, path)
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error.strerror})") from error
     finally:
-        scratch.unlink(missing_ok=True)
+        if scratch is not None:
+            scratch.unlink(missing_ok=True)
 
 
 @contextmanager

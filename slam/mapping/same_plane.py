@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import landmark_hesse
-from factors.association.estimate import PlacedPlane
 from slam.backend.estimator import Backend, JointCovariance
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
@@ -50,7 +49,7 @@ class SamePlaneFinder:
         return disjoint([(a, b) for chi2, a, b in sorted(found) if chi2 <= limit])
 
     def _candidates(self, touched: Iterable[int]) -> dict[tuple[int, int], tuple[Landmark, Landmark]]:
-        """Pairs that lie over each other, by their ids, but for those of which nothing new was seen."""
+        """Pairs that come near each other, along the plane and across it, by ids; not where nothing new was seen."""
         pairs: dict[tuple[int, int], tuple[Landmark, Landmark]] = {}
         gap_m, angle_rad = self._rules.gap_m, self._rules.max_angle_rad
         for first in (self._landmarks[key] for key in sorted(touched)):
@@ -64,7 +63,11 @@ class SamePlaneFinder:
                 ids = min(first.id, second.id), max(first.id, second.id)
                 if _sightings((first, second)) < 1.25 * self._told_apart.get(ids, 0):
                     continue
-                if _may_be_one(first, place, second, second_place, gap_m):
+                first_T_second = inverse(place.world_T_plane) @ second_place.world_T_plane
+                if abs(first_T_second[2, 3]) > gap_m:
+                    continue
+                pieces = (flatten(piece, first_T_second) for piece in second.extent.pieces)
+                if any(first.extent.is_within(gap_m, piece) for piece in pieces):
                     pairs[ids] = (first, second)
         return pairs
 
@@ -156,17 +159,6 @@ def hesse_of(
     if pose_key is not None:
         blocks[pose_key] = blocks.get(pose_key, np.zeros((4, 6))) + by_pose
     return normal, d, np.hstack(list(blocks.values())), list(blocks)
-
-
-def _may_be_one(
-    first: Landmark, first_place: PlacedPlane, second: Landmark, second_place: PlacedPlane, gap_m: float
-) -> bool:
-    """Whether patches of two landmarks that look the same way come near each other, along the plane and across it."""
-    first_T_second = inverse(first_place.world_T_plane) @ second_place.world_T_plane
-    if abs(first_T_second[2, 3]) > gap_m:
-        return False
-    pieces = (flatten(piece, first_T_second) for piece in second.extent.pieces)
-    return any(first.extent.is_within(gap_m, piece) for piece in pieces)
 
 
 def disjoint(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -187,43 +187,32 @@ def unmatched_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     What is new is seen again from the next keyframe, or is clutter. In a sound run at most every second keyframe has
     more of it than that: a sign test.
     """
-    shares = unmatched_shares(run)
-    told = np.isfinite(shares)
-    many = np.flatnonzero(told & (np.nan_to_num(shares) > NOVEL_SHARE))
-    if not len(many):
-        return
-    count, frames, size = int(told.sum()), tuple(many.tolist()), float(np.nanmedian(shares))
-    yield Evidence(
-        "unmatched",
-        "doubtful",
-        float(at_least(len(many), count)),
-        size,
-        "of the area seen",
-        frames,
-        f"{len(many)} of {count} keyframes ({named(frames)}) see more that is never seen again than can be new: "
-        f"{100.0 * size:.0f} % of a typical one's surfaces match nothing",
-    )
-
-
-def unmatched_shares(run: PlaneSlam) -> FloatArray:
-    """Of every keyframe the share of what it saw that is of no plane seen twice, shape (N,); NaN: it saw nothing.
-
-    The first keyframe, which has nothing to match, and the last, after which nothing is seen again, are left out.
-    """
     known = _matched(run) | {
         (sighting.keyframe, sighting.observation)
         for landmark in run.landmarks
         if landmark.n_keyframes > 1
         for sighting in landmark.sightings
     }
-    shares = np.full(len(run.keyframes), np.nan)
-    for index in range(1, len(run.keyframes) - 1):
+    shares: dict[int, float] = {}
+    for index in range(1, len(run.keyframes) - 1):  # the first has nothing to match, the last is seen by none again
         sizes = np.array([_extent(observation) for observation in run.keyframes[index].observations])
-        if not sizes.sum():
-            continue
-        lost = [(index, decision.observation) not in known for decision in run.decisions[index]]
-        shares[index] = sizes[lost].sum() / sizes.sum()
-    return shares
+        if sizes.sum():
+            lost = [(index, decision.observation) not in known for decision in run.decisions[index]]
+            shares[index] = float(sizes[lost].sum() / sizes.sum())
+    frames = tuple(index for index, share in shares.items() if share > NOVEL_SHARE)
+    if not frames:
+        return
+    count, size = len(shares), float(np.median(list(shares.values())))
+    yield Evidence(
+        "unmatched",
+        "doubtful",
+        float(at_least(len(frames), count)),
+        size,
+        "of the area seen",
+        frames,
+        f"{len(frames)} of {count} keyframes ({named(frames)}) see more that is never seen again than can be new: "
+        f"{100.0 * size:.0f} % of a typical one's surfaces match nothing",
+    )
 
 
 def _extent(observation: Observation) -> float:

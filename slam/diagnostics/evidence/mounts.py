@@ -24,7 +24,6 @@ _MOST_PAIRS, _MOST_CLOUD_PAIRS = 60, 15
 #: A body goes backwards all along with this share of its way, of at least so many metres.
 _ALL_ALONG, _SOME_WAY_M = 0.8, 3.0
 
-
 #: Mounts that are easily taken for another: the sensor turned about its own axes, roll and yaw, deg.
 _TURNS = (
     (0.0, 180.0, "mounted backwards (yaw 180 deg from what the rig says)"),

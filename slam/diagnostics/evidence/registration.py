@@ -42,8 +42,7 @@ class CloudMatch:
 
 def judge(match: CloudMatch, covariance: FloatArray) -> Verdict:
     """The verdict on a place, with the covariance (6, 6), SP order, that is claimed for it."""
-    evidence = *_free_space(match), *_chance(match), *_ambiguity(match), *_open(covariance)
-    return weigh(evidence, KINDS)
+    return weigh([*_free_space(match), *_chance(match), *_unsure(match, covariance)], KINDS)
 
 
 def _free_space(match: CloudMatch) -> Iterator[Evidence]:
@@ -79,15 +78,11 @@ def _chance(match: CloudMatch) -> Iterator[Evidence]:
         yield Evidence("chance", "doubtful", 0.0, chance, "probability", _BOTH, sentence)
 
 
-def _ambiguity(match: CloudMatch) -> Iterator[Evidence]:
-    """Other places that fit so well that one of them may be it."""
+def _unsure(match: CloudMatch, covariance: FloatArray) -> Iterator[Evidence]:
+    """Other places that fit so well that one may be it, and a position open further than a sound one may err."""
     if match.ambiguity > MOST_WRONG:
         sentence = f"with probability {match.ambiguity:.2g} B is at another place, which fits nearly as well"
         yield Evidence("ambiguity", "doubtful", 0.0, match.ambiguity, "probability", _BOTH, sentence)
-
-
-def _open(covariance: FloatArray) -> Iterator[Evidence]:
-    """A position that what was seen leaves open further than a sound one may err."""
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
     if sigma > PROMISED_M:
         sentence = f"what both clouds saw leaves the position open: its standard deviation is {sigma:.2g} m"

@@ -187,14 +187,9 @@ def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:
         alike = frames[:, :3, 2] @ frames[small, :3, 2] > ALIKE
         near = (np.abs(gaps) > _TOGETHER_M) & (np.abs(gaps) < _APART_M)
         for large in np.flatnonzero(larger & alike & near).tolist():
-            if _overlap(surfaces, large, small) >= 0.5:
+            larger_frame, larger_outline = surfaces.walls[large]
+            moved = valid(flatten(outline, inverse(larger_frame) @ frame))
+            if float(shapely.intersection(larger_outline, moved).area / outline.area) >= 0.5:
                 found.append((surfaces.ids[large], surfaces.ids[small], float(gaps[large])))
                 break
     return found
-
-
-def _overlap(surfaces: Surfaces, large: int, small: int) -> float:
-    """Share of the smaller plane that lies over the larger one."""
-    (frame, outline), (other_frame, other) = surfaces.walls[large], surfaces.walls[small]
-    moved = valid(flatten(other, inverse(frame) @ other_frame))
-    return float(shapely.intersection(outline, moved).area / other.area)
