@@ -26,8 +26,6 @@ Result = TypeVar("Result")
 
 #: Results that wait to be fetched from one process, bytes: of some keyframes, and what Linux allows anybody.
 _PIPE_BYTES = 1 << 20
-#: `prctl` of Linux: the signal that a process gets when the one that made it ends.
-_PR_SET_PDEATHSIG = 1
 
 
 def cores() -> int:
@@ -105,7 +103,7 @@ def _help(
     """All that a forked process does; it never returns to what it was forked from."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; whoever waits for the results ends this
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: when the one that made it ends
         _threads.stay_alone()
         known = {id(one): place for place, one in enumerate(shared)}
         for number in numbers:

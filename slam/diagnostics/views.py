@@ -27,11 +27,6 @@ _LOOK_M = 0.5
 _REACH_M = 4.0
 #: Keyframes within a stretch of the way of this length look at one place together, m.
 _STRETCH_M = 2.0
-#: Partners of a keyframe are from different stretches of the way, and so many at most.
-_PARTNERS = 8
-#: Comparisons over a whole run: the sample of a long one is as good.
-_MOST_PAIRS = 3000
-
 
 #: What one keyframe saw, by level lasers or by 3D sensors, to be asked what it says of what another one saw.
 V = TypeVar("V", "View", "ScanView")
@@ -49,9 +44,8 @@ def way_along(poses: FloatArray) -> FloatArray:
 
 
 def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
-    """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of every other stretch of the way."""
-    places = poses[:, :2, 3]
-    way = way_along(poses)
+    """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of some 8 other stretches of the way."""
+    places, way = poses[:, :2, 3], way_along(poses)
     held, pairs = np.asarray(views), []
     if not len(held):
         return []
@@ -62,8 +56,8 @@ def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
         away = np.linalg.norm(places[near] - places[index], axis=1)
         stretch = np.floor(np.abs(way[near] - way[index])).astype(int)
         chosen = nearest_of_each(near, away, stretch)
-        pairs += [(index, other) for other in chosen[evenly(len(chosen), _PARTNERS)].tolist()]
-    return pairs[:: max(1, -(-len(pairs) // _MOST_PAIRS))]
+        pairs += [(index, other) for other in chosen[evenly(len(chosen), 8)].tolist()]
+    return pairs[:: max(1, -(-len(pairs) // 3000))]  # the sample of a long run is as good
 
 
 def compare(view: V, other: V, here_T_other: FloatArray) -> tuple[int, int]:
@@ -147,8 +141,6 @@ _LEVEL = 0.5
 _WIDE_SHARE = 0.03
 #: Elements further apart than this share of their range, and than `NEIGHBOURS_APART`, are of two surfaces.
 _APART_SHARE = 0.1
-#: Neighbours of an element that may be of its surface.
-_NEIGHBOURS = 8
 
 
 class ScanView:
@@ -192,7 +184,7 @@ def _movable(elements: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.
     points = elements[:, :3]
     if len(points) < 2:
         return np.ones(len(points), dtype=bool)
-    apart, near = KDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(points)))
+    apart, near = KDTree(points).query(points, k=min(9, len(points)))  # itself, and eight about it
     limit = np.maximum(_APART_SHARE * np.linalg.norm(points - viewpoint, axis=1), NEIGHBOURS_APART * elements[:, WIDTH])
     limit = np.maximum(LEAST_GAP_M, limit)
     mine, which = np.nonzero(apart < limit[:, None])

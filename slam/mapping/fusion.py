@@ -47,8 +47,6 @@ class Merge:
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
-#: Sightings of a merged landmark whose residuals are looked at: more say no more.
-_SAMPLE = 30
 #: A merge is looked at during so many keyframes whether it is seen or not: what bends the way is seen no more.
 _FRESH = 10
 
@@ -112,9 +110,10 @@ class Merges:
         self, pairs: Sequence[tuple[int, int]], factor_indices: Sequence[Sequence[int]], cause: Cause
     ) -> list[Merge]:
         """Let landmarks know that everything seen of others is of them: the graph holds it so, by these factors."""
-        now, made = len(self._keyframes) - 1, [self._landmarks.remove(younger) for _, younger in pairs]
+        now, removed = len(self._keyframes) - 1, [self._landmarks.remove(younger) for _, younger in pairs]
         self._landmarks.refresh(self._backend)
-        for (older, _), gone, indices in zip(pairs, made, factor_indices, strict=True):
+        merges = []
+        for (older, _), gone, indices in zip(pairs, removed, factor_indices, strict=True):
             home, home_T_world = self._landmarks[older], inverse(self._landmarks.placed(older).world_T_plane)
             home.seen_by_past = sorted({*home.seen_by_past, *gone.seen_by_past})
             for sighting, index in zip(gone.sightings, indices, strict=True):
@@ -122,11 +121,8 @@ class Merges:
                 self._landmarks.see(
                     home, self._observation(sighting), replace(sighting, factor_index=index), plane_T_body
                 )
+            merges.append(Merge(now, older, gone.id, cause, gone, next_look=now + 1))
         self._landmarks.refresh(self._backend)
-        merges = [
-            Merge(now, older, gone.id, cause, gone, next_look=now + 1)
-            for (older, _), gone in zip(pairs, made, strict=True)
-        ]
         self.history += merges
         return merges
 
@@ -183,7 +179,7 @@ class Merges:
             if now > merge.keyframe + _FRESH and holder.id not in seen:
                 continue
             merge.next_look = now + max(2 * (now - merge.keyframe), 1)
-            taken = self._taken(merge, holder)[:_SAMPLE]
+            taken = self._taken(merge, holder)[:30]  # more say no more
             if not taken:  # all of it was seen from keyframes that have left the graph
                 continue
             misfit = sum(self._misfit(one, holder) for one in taken)

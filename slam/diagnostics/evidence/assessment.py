@@ -20,13 +20,10 @@ from slam.diagnostics.views import scan_views_of, views_of
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 
-#: Kinds of statistics there are, which share the significance.
-KINDS = 11
-
 
 def assess_run(run: PlaneSlam, rig: Rig) -> Verdict:
     """The verdict by everything that is known at the end of a run; reading changes nothing."""
-    return weigh(_evidence(run, rig), KINDS)
+    return weigh(_evidence(run, rig), kinds=11)
 
 
 def _evidence(run: PlaneSlam, rig: Rig) -> Iterator[Evidence]:

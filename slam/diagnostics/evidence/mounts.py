@@ -18,12 +18,6 @@ from slam.geometry.frames import inverse
 from slam.sensors.rig import Mount, Rig
 from spplanes._check import FloatArray
 
-#: Pairs of neighbouring keyframes that are compared under every mount, evenly over the run: of lasers, of 3D sensors.
-_MOST_PAIRS, _MOST_CLOUD_PAIRS = 60, 15
-
-#: A body goes backwards all along with this share of its way, of at least so many metres.
-_ALL_ALONG, _SOME_WAY_M = 0.8, 3.0
-
 #: Mounts that are easily taken for another: the sensor turned about its own axes, roll and yaw, deg.
 _TURNS = (
     (0.0, 180.0, "mounted backwards (yaw 180 deg from what the rig says)"),
@@ -48,8 +42,10 @@ def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence
     """
     lasers, clouds = rig.of_kind("line"), rig.of_kind("cloud")
     mounts = [sensor.body_T_sensor for sensor in (lasers or clouds).values()]
-    pairs = [pair for pair in _neighbours(keyframes) if all(_has_seen(keyframes[one], bool(lasers)) for one in pair)]
-    pairs = pairs[:: max(1, -(-len(pairs) // (_MOST_PAIRS if lasers else _MOST_CLOUD_PAIRS)))]
+    sees = [_has_seen(one, bool(lasers)) for one in keyframes]
+    measured = [one.motion is not None and one.motion.is_measured for one in keyframes]
+    pairs = [(a, b) for a, b in pairwise(range(len(keyframes))) if measured[b] and sees[a] and sees[b]]
+    pairs = pairs[:: max(1, -(-len(pairs) // (60 if lasers else 15)))]
     if not mounts or not pairs:
         return
     of_pair = _laser_counts if lasers else _cloud_counts
@@ -78,11 +74,11 @@ def heading_evidence(keyframes: Sequence[Keyframe], poses: FloatArray, rig: Rig)
     steps = (np.linalg.inv(poses[:-1]) @ poses[1:])[:, :3, 3]
     ways = np.linalg.norm(steps, axis=1)
     ahead = np.abs(steps[:, 0]) > 0.5 * ways
-    if ways.sum() < _SOME_WAY_M or 2 * np.count_nonzero(ahead) < len(steps):
+    if ways.sum() < 3.0 or 2 * np.count_nonzero(ahead) < len(steps):
         return
     backwards = ahead & (steps[:, 0] < 0.0)
     share = float(ways[backwards].sum() / ways.sum())
-    if share < _ALL_ALONG:
+    if share < 0.8:
         return
     p_value = float(at_least(np.count_nonzero(backwards), np.count_nonzero(ahead)))
     frames = tuple((np.flatnonzero(backwards) + 1).tolist())
@@ -125,12 +121,6 @@ def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
 def _better(gain: FloatArray) -> tuple[int, int]:
     """On how many of pairs (P,) something is gained, and of how many that tell."""
     return int((gain > 0).sum()), int((gain != 0).sum())
-
-
-def _neighbours(keyframes: Sequence[Keyframe]) -> list[tuple[int, int]]:
-    """Successive keyframes with odometry between."""
-    pairs = pairwise(range(len(keyframes)))
-    return [(a, b) for a, b in pairs if (motion := keyframes[b].motion) is not None and motion.is_measured]
 
 
 def _has_seen(keyframe: Keyframe, by_lasers: bool) -> bool:

@@ -18,17 +18,15 @@ from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
-#: Sine of the angle from which on two walls fix a place between them.
-_ACROSS = 0.26
 #: Places on a prior plane that level lasers are asked about are this far apart, m.
 _STEP_M = 0.5
 
 
 def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
-    """Whether planes of these normals fix a place on the floor between them."""
+    """Whether planes of these normals, two of them 15 deg apart, fix a place on the floor between them."""
     walls = np.array([normal[:2] for normal in normals]).reshape(-1, 2)
     across = walls[:, None, 0] * walls[None, :, 1] - walls[:, None, 1] * walls[None, :, 0]
-    return bool(np.abs(across).max(initial=0.0) > _ACROSS)
+    return bool(np.abs(across).max(initial=0.0) > 0.26)
 
 
 def prior_evidence(run: PlaneSlam, rig: Rig, views: Mapping[int, View], surfaces: Surfaces) -> Iterator[Evidence]:

@@ -13,8 +13,6 @@ from slam.diagnostics.verdict import Evidence, Verdict, at_least, weigh
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from spplanes._check import FloatArray
 
-#: Kinds of statistics there are, which share the significance: lines of sight from either cloud.
-KINDS = 2
 #: Planes that a place is made of, and that fit it whatever it is: three offsets tell a translation.
 _NEEDED = 3
 #: Probability that a place in another building has as many planes in common. Lines of sight refute four in five of such
@@ -42,7 +40,8 @@ class CloudMatch:
 
 def judge(match: CloudMatch, covariance: FloatArray) -> Verdict:
     """The verdict on a place, with the covariance (6, 6), SP order, that is claimed for it."""
-    return weigh([*_free_space(match), *_chance(match), *_unsure(match, covariance)], KINDS)
+    evidence = [*_free_space(match), *_chance(match), *_unsure(match, covariance)]
+    return weigh(evidence, kinds=2)  # lines of sight from either cloud
 
 
 def _free_space(match: CloudMatch) -> Iterator[Evidence]:

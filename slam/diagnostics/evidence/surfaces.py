@@ -22,12 +22,8 @@ from slam.sensors.rig import Sensor
 from spplanes import Plane
 from spplanes._check import FloatArray
 
-#: Keyframes whose rays are cast, evenly over the run: the sample of a long one is as good.
-_MOST_KEYFRAMES = 60
 #: A ray counts as through a plane so far inside its border, m: outlines are rougher than this nowhere.
 _INSIDE_M = 0.1
-#: A slice lies across the way it goes from this sine of the angle between them on.
-_ACROSS = 0.5
 #: Planes whose normals are within 10 deg may be one.
 ALIKE = float(np.cos(np.deg2rad(10.0)))
 
@@ -70,9 +66,9 @@ def stopped_rays(keyframes: Sequence[Keyframe], poses: FloatArray, surfaces: Sur
     found: Counter[int] = Counter()
     body_T_sensor, moves_on = sensor.body_T_sensor, sensor.kind == "slice"
     ahead = body_T_sensor[0, :3]  # the body's x axis in the frame of the sensor
-    if moves_on and abs(ahead[2]) < _ACROSS:
-        return found  # it turns in the way it goes: who knows from where it saw what
-    for index in evenly(len(keyframes), _MOST_KEYFRAMES):
+    if moves_on and abs(ahead[2]) < 0.5:
+        return found  # it turns in the way it goes, up to 30 deg: who knows from where it saw what
+    for index in evenly(len(keyframes), 60):
         seen = [plane.transform(inverse(body_T_sensor)) for plane in planes_of(keyframes[index].observations)]
         sight = LinesOfSight.between(seen, np.ones(len(seen)), ())
         starts = sight.ends[:, 2:] / ahead[2] * ahead if moves_on else sight.starts
