@@ -41,19 +41,21 @@ def open_in_map(
     if len(held) < 2:
         return []
     rows = {keyframe: 6 * row for row, keyframe in enumerate(held)}
-    information = _Information(6 * len(held), len(landmarks))
+    of_poses = 6 * len(held)
+    information = _Information(of_poses + 3 * len(landmarks))
     information.add(0, np.eye(6) / _FIXED**2)
     for row in rows.values():
         information.add(row, NOTHING)
     seen = [_Sightings.of(landmark, keyframes) for landmark in landmarks]
     normals = _settled_normals(landmarks, seen)
     for number, (landmark, sightings, normal) in enumerate(zip(landmarks, seen, normals, strict=True)):
+        plane = of_poses + 3 * number
         known = np.eye(3) / _FIXED**2 if landmark.known else np.diag([1e-6, 1e-3, 1e-3])
-        information.add(information.landmark(number), known)
+        information.add(plane, known)
         if sightings.keyframes:
             poses = backend.poses(pose_symbols(sightings.keyframes))
             jacobians = _derivatives(sightings, poses, normal, landmarks.placed(landmark.id).world_T_plane[:3, 3])
-            information.see([rows[one] for one in sightings.keyframes], information.landmark(number), jacobians)
+            information.see([rows[one] for one in sightings.keyframes], plane, jacobians)
     looked_at = sorted({*np.linspace(1, len(held) - 1, min(_MOST, len(held) - 1)).round().astype(int).tolist()})
     found = information.covariances([6 * row for row in looked_at])
     open_ones = [
@@ -71,13 +73,9 @@ def open_in_map(
 class _Information:
     """Normal equations over poses, six rows each, and landmarks, three rows each after them."""
 
-    def __init__(self, of_poses: int, landmarks: int) -> None:
-        self._of_poses, self._size = of_poses, of_poses + 3 * landmarks
+    def __init__(self, size: int) -> None:
+        self._size = size
         self._blocks: list[tuple[np.ndarray, np.ndarray, FloatArray]] = []
-
-    def landmark(self, number: int) -> int:
-        """First row of a landmark."""
-        return self._of_poses + 3 * number
 
     def add(self, row: int, block: FloatArray) -> None:
         """Information of one variable."""

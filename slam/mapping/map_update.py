@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
@@ -202,13 +202,9 @@ class MapUpdater:
             numbers, rules = self._waiting[index], self._config.association
             seen = [self._keyframes[index].observations[number] for number in numbers]
             decisions = self._associate(seen, pose_symbol(index), self._landmarks, self._backend, rules, among=born)
-            self._waiting[index] = []
-            for number, decision in zip(numbers, decisions, strict=True):
-                if decision.match is None:
-                    self._waiting[index].append(number)
-                else:
-                    own = Decision(number, "match", decision.match, decision.candidates)
-                    found.append(LateMatch(at, index, own))
+            own = [replace(decision, observation=number) for number, decision in zip(numbers, decisions, strict=True)]
+            self._waiting[index] = [one.observation for one in own if one.match is None]
+            found += [LateMatch(at, index, one) for one in own if one.match is not None]
         return found
 
     def _see(self, insertion: Insertion, keyframe: int, factor_index: int, robust: str | None) -> None:

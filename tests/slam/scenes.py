@@ -1,7 +1,7 @@
 """A room of known planes, a robot that drives through it, and what it would see: measurements with their covariance."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -83,6 +83,16 @@ def drive(seed: int, *, count: int = 15, turns: float = 0.75) -> Drive:
         seen: list[Observation] = [PlaneObservation(plane) for plane in planes]
         keyframes.append(Keyframe(index * PERIOD_NS, seen, motion, pose if index == 0 else None))
     return Drive(keyframes, poses)
+
+
+def overstated(keyframes: Iterable[Keyframe], by: float) -> list[Keyframe]:
+    """Keyframes that state covariances of their planes so many times too small."""
+    found = []
+    for frame in keyframes:
+        planes = [one.plane for one in frame.observations if isinstance(one, PlaneObservation)]
+        sure = [PlaneObservation(replace(plane, covariance=plane.covariance / by)) for plane in planes]
+        found.append(replace(frame, observations=sure))
+    return found
 
 
 def run_of(keyframes: Iterable[Keyframe], slam: PlaneSlam | None = None) -> PlaneSlam:

@@ -17,7 +17,7 @@ from slam.runs.slam_run import run_slam
 from slam.simulation import simulate_mission
 from spplanes import Plane
 from spplanes.segmentation.scans import Labelled, label_scans
-from tests.slam.scenes import drive, planar_nees, room_planes, run_of
+from tests.slam.scenes import drive, overstated, planar_nees, room_planes, run_of
 from tests.statistics import assert_mean_in_band
 
 
@@ -51,11 +51,7 @@ def test_final_poses_and_planes_are_consistent_over_many_runs():
 def test_the_audit_finds_an_honest_run_consistent_and_an_over_confident_one_not():
     summary = run_of(drive(1).keyframes).audit.summary()[0]
     assert summary.kind == "plane" and summary.count == 14 * 6 and summary.verdict == "consistent"
-    lying = PlaneSlam()
-    for keyframe in drive(1).keyframes:
-        planes = [one.plane for one in keyframe.observations if isinstance(one, PlaneObservation)]
-        sure = [PlaneObservation(replace(plane, covariance=plane.covariance / 2.0)) for plane in planes]
-        lying.add_keyframe(replace(keyframe, observations=sure))
+    lying = run_of(overstated(drive(1).keyframes, 2.0))
     assert lying.audit.summary()[0].verdict == "over-confident" and "over-confident" in lying.audit.warnings()[0]
 
 

@@ -94,8 +94,7 @@ def assumption_evidence(run: PlaneSlam) -> Iterator[Evidence]:
         )
         yield Evidence("assumption", "doubtful", 0.0, sigma, "m", frames, sentence)
     motions = enumerate(frame.motion for frame in run.keyframes)
-    measured = {index for index, motion in motions if motion is not None and _is_told(motion)}
-    assumed = set(range(1, len(run.keyframes))) - measured
+    assumed = {index for index, motion in motions if index and not (motion is not None and _is_told(motion))}
     assumed |= {step.keyframe for step in run.odometry_record.steps if step.used == "not"}
     if not assumed:
         return
@@ -203,16 +202,12 @@ def unmatched_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     if not frames:
         return
     count, size = len(shares), float(np.median(list(shares.values())))
-    yield Evidence(
-        "unmatched",
-        "doubtful",
-        float(at_least(len(frames), count)),
-        size,
-        "of the area seen",
-        frames,
+    p_value = float(at_least(len(frames), count))
+    sentence = (
         f"{len(frames)} of {count} keyframes ({named(frames)}) see more that is never seen again than can be new: "
-        f"{100.0 * size:.0f} % of a typical one's surfaces match nothing",
+        f"{100.0 * size:.0f} % of a typical one's surfaces match nothing"
     )
+    yield Evidence("unmatched", "doubtful", p_value, size, "of the area seen", frames, sentence)
 
 
 def _extent(observation: Observation) -> float:

@@ -115,16 +115,12 @@ def believed_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     if off <= max(PROMISED_M, PROMISED_SIGMAS * max(claimed_sigmas(run).values())):
         return
     frames = tuple(keyframe for keyframe, _ in believed)
-    yield Evidence(
-        "believed odometry",
-        "doubtful",
-        float(at_least(len(wrong), len(record.steps), record.significance)),
-        off,
-        "m",
-        frames,
+    p_value = float(at_least(len(wrong), len(record.steps), record.significance))
+    sentence = (
         f"what was seen speaks against the odometry at {named(wrong)}, and could not have at {named(frames)}, which "
-        f"rest on it: they may be {off:.2g} m off",
+        f"rest on it: they may be {off:.2g} m off"
     )
+    yield Evidence("believed odometry", "doubtful", p_value, off, "m", frames, sentence)
 
 
 def _steps(run: PlaneSlam) -> list[int]:

@@ -50,16 +50,12 @@ def prior_evidence(run: PlaneSlam, rig: Rig, views: Mapping[int, View], surfaces
         through.update(stopped_rays(run.keyframes, run.trajectory.poses, surfaces, sensor))
     missed = sum(one.id not in seen and through[one.id] > 0 for one in known)
     in_view = len(seen) + missed
-    yield Evidence(
-        "prior map",
-        "doubtful",
-        float(at_least(missed, in_view, NOVEL_SHARE)),
-        missed / in_view,
-        "of planes",
-        frames,
+    p_value = float(at_least(missed, in_view, NOVEL_SHARE))
+    sentence = (
         f"{missed} of the {in_view} planes of the prior map that should have been seen at {named(frames)} were looked "
-        f"through instead, {len(seen)} were seen again",
+        f"through instead, {len(seen)} were seen again"
     )
+    yield Evidence("prior map", "doubtful", p_value, missed / in_view, "of planes", frames, sentence)
 
 
 def _through(known: Sequence[Landmark], run: PlaneSlam, views: Mapping[int, View]) -> dict[int, int]:
@@ -67,12 +63,8 @@ def _through(known: Sequence[Landmark], run: PlaneSlam, views: Mapping[int, View
     poses, balance = run.trajectory.poses, {}
     for landmark in known:
         places = _places_on(landmark, run.landmarks.placed(landmark.id).world_T_plane)
-        total = 0
-        for index, view in views.items():
-            local = lift(places, inverse(poses[index]))[:, :2]
-            confirmed, through = held_against(view, local)
-            total += through - confirmed
-        balance[landmark.id] = total
+        looks = (held_against(view, lift(places, inverse(poses[k]))[:, :2]) for k, view in views.items())
+        balance[landmark.id] = sum(through - confirmed for confirmed, through in looks)
     return balance
 
 

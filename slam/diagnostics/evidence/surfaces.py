@@ -126,16 +126,12 @@ def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[E
     frames = tuple(np.unique(np.array(pairs)[wrong[own]]).tolist())
     whole = float(at_least(through.sum(), looks.sum(), NOVEL_SHARE))
     gone, seen = int(through[wrong].sum()), int(looks[wrong].sum())
-    yield Evidence(
-        "free space",
-        "broken" if whole < SIGNIFICANCE else "doubtful",
-        float(p_values.min()),
-        gone / seen,
-        "of looks",
-        frames,
+    sentence = (
         f"at {named(frames)} {100.0 * gone / seen:.0f} % of {seen} looks go through surfaces that other keyframes saw "
-        f"({100.0 * through.sum() / looks.sum():.1f} % of {looks.sum()} in the whole run)",
+        f"({100.0 * through.sum() / looks.sum():.1f} % of {looks.sum()} in the whole run)"
     )
+    grade = "broken" if whole < SIGNIFICANCE else "doubtful"
+    yield Evidence("free space", grade, float(p_values.min()), gone / seen, "of looks", frames, sentence)
 
 
 #: Nearer than this two planes are one for all that a map is used for; further apart than that they are one before the
@@ -149,22 +145,15 @@ def doubled_evidence(run: PlaneSlam, surfaces: Surfaces) -> Iterator[Evidence]:
     Boards on walls do, and things that stand against them: a share of `NOVEL_SHARE` may. A drive that came back a
     little off leaves every surface twice.
     """
-    pairs = doubled_pairs(surfaces)
-    count = len(surfaces.ids)
+    pairs, count = doubled_pairs(surfaces), len(surfaces.ids)
     if not pairs:
         return
     twice = sorted({younger for _, younger, _ in pairs})
     frames = tuple(sorted({sighting.keyframe for key in twice for sighting in run.landmarks[key].sightings}))
     gap = float(np.median([abs(gap) for _, _, gap in pairs]))
-    yield Evidence(
-        "doubled surfaces",
-        "doubtful",
-        float(at_least(len(twice), count, NOVEL_SHARE)),
-        len(twice) / count,
-        "of planes",
-        frames,
-        f"{len(twice)} of {count} planes are in the map twice, {gap:.2g} m apart, seen at {named(frames)}",
-    )
+    p_value = float(at_least(len(twice), count, NOVEL_SHARE))
+    sentence = f"{len(twice)} of {count} planes are in the map twice, {gap:.2g} m apart, seen at {named(frames)}"
+    yield Evidence("doubled surfaces", "doubtful", p_value, len(twice) / count, "of planes", frames, sentence)
 
 
 def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:

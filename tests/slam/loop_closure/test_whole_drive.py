@@ -18,7 +18,7 @@ from slam.loop_closure.pairwise_consistency import Proposal
 from slam.loop_closure.whole_drive import agreement
 from slam.registration.submaps import PlanarPose
 from spplanes._check import FloatArray
-from tests.slam.laser_floors import LaserSettings, drive, ring
+from tests.slam.laser_floors import drive, ring
 
 RULES = SlamConfig().loops
 STEP, FOUND = np.diag((0.02, 0.02, 0.01)) ** 2, np.diag((0.03, 0.03, 0.006)) ** 2
@@ -37,7 +37,7 @@ def rounds() -> tuple[list[Keyframe], FloatArray]:
     rng = np.random.default_rng(5)
     plan = ring(rng, length_m=9.0, depth_m=6.0, doors_per_wall=3)
     plan.way = plan.way[:-1] * 2
-    truth = drive(plan, rng, LaserSettings(n_beams=180, range_max_m=30.0))
+    truth = drive(plan, rng, n_beams=180, range_max_m=30.0)
     frames = list(keyframes_of(truth.log, default_rig_for(truth.log), SlamConfig()))
     return frames, truth.poses_at(np.array([frame.stamp_ns for frame in frames]))
 

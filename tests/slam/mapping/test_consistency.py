@@ -5,23 +5,19 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from factors.association.observations import PlaneObservation
 from slam import Keyframe, PlaneSlam, SlamConfig
 from slam.config import CoastingConfig
 from slam.frontend.input_checks import blind
 from slam.frontend.odometry import Motion
-from tests.slam.scenes import drive
+from tests.slam.scenes import drive, overstated, run_of
 from tests.slam.short_drives import mapped_beginning
 
 
 def run(seed: int, *, stated: float = 1.0, robust: bool = True) -> PlaneSlam:
     """Round the room without odometry, the sigmas of the planes stated so many times too small."""
     slam = PlaneSlam(SlamConfig(coasting=CoastingConfig() if robust else CoastingConfig(robust=None)))
-    for frame in drive(seed, count=12, turns=0.3).keyframes:
-        planes = [one.plane for one in frame.observations if isinstance(one, PlaneObservation)]
-        seen = [PlaneObservation(replace(one, covariance=one.covariance / stated**2)) for one in planes]
-        slam.add_keyframe(Keyframe(frame.stamp_ns, seen, None, frame.world_T_body_guess))
-    return slam
+    frames = overstated(drive(seed, count=12, turns=0.3).keyframes, stated**2)
+    return run_of((replace(frame, motion=None) for frame in frames), slam)
 
 
 def test_nis_of_an_honest_run_without_odometry_is_in_its_band_with_six_degrees_less():
