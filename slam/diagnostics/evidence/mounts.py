@@ -27,9 +27,6 @@ _TURNS = (
     (180.0, 180.0, "mounted upside down and backwards (pitch 180 deg from what the rig says)"),
 )
 
-#: Looks confirmed and looks through, of the pairs of a run, shape (P, 2), under a turn (4, 4) of the sensor.
-_Counts = Callable[[FloatArray], FloatArray]
-
 
 def mount_evidence(keyframes: Sequence[Keyframe], rig: Rig) -> Iterator[Evidence]:
     """What the scans say of neighbouring keyframes placed by odometry, under the stated mount and under others.
@@ -63,13 +60,9 @@ def heading_evidence(keyframes: Sequence[Keyframe], poses: FloatArray, rig: Rig)
     turned about the body. Bodies with a mount that somebody measured go forwards most of their way; one that never does
     is one whose mount is turned, or whose log is played in reverse. Which of these it is nothing tells.
     """
-    sensors = rig.of_kind("line") or rig.of_kind("cloud")
-    unmeasured = all(keyframe.motion is None or not keyframe.motion.is_measured for keyframe in keyframes[1:])
-    if (
-        len(keyframes) < 2
-        or not unmeasured
-        or not any(sensor.body_T_sensor[:3, 3].any() for sensor in sensors.values())
-    ):
+    sensors = (rig.of_kind("line") or rig.of_kind("cloud")).values()
+    measured = any(keyframe.motion is not None and keyframe.motion.is_measured for keyframe in keyframes[1:])
+    if len(keyframes) < 2 or measured or not any(sensor.body_T_sensor[:3, 3].any() for sensor in sensors):
         return
     steps = (np.linalg.inv(poses[:-1]) @ poses[1:])[:, :3, 3]
     ways = np.linalg.norm(steps, axis=1)
@@ -90,8 +83,8 @@ def heading_evidence(keyframes: Sequence[Keyframe], poses: FloatArray, rig: Rig)
     yield Evidence("mount", "doubtful", p_value, share, "of the way", frames, sentence)
 
 
-def _tests(counts: _Counts, frames: tuple[int, ...]) -> Iterator[Evidence]:
-    """The stated mount against all others."""
+def _tests(counts: Callable[[FloatArray], FloatArray], frames: tuple[int, ...]) -> Iterator[Evidence]:
+    """The stated mount against all others, by looks confirmed and through (P, 2) under a turn (4, 4) of the sensor."""
     stated = counts(np.eye(4))
     whole = stated.sum(axis=0)
     by_pair = len(stated) * at_least(stated[:, 1], stated.sum(axis=1), NOVEL_SHARE).min()

@@ -44,10 +44,8 @@ def test_in_a_bare_room_that_looks_alike_from_both_ends_the_body_does_not_change
 
 
 def test_a_guess_too_wide_to_tell_planes_apart_is_no_odometry():
-    wide, slam = Motion(np.eye(4), np.diag([1.0] * 6), (1.0, 1.0, 1.0)), PlaneSlam()
-    for index, frame in enumerate(drive(1, count=3, turns=0.06).keyframes):
-        motion = wide if index else None
-        slam.add_keyframe(Keyframe(frame.stamp_ns, frame.observations, motion, frame.world_T_body_guess))
+    wide, (first, *rest) = Motion(np.eye(4), np.eye(6), (1.0, 1.0, 1.0)), drive(1, count=3, turns=0.06).keyframes
+    slam = run_of([first, *(replace(frame, motion=wide) for frame in rest)])
     assert sum(dof for _, _, dof in slam.audit.history["plane"]) == 2 * 12
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import compress
 
 import gtsam
 import numpy as np
@@ -102,12 +103,11 @@ def test_an_end_wall_seen_badly_is_not_nothing_and_has_its_size():
 
 def corridor_run(*, with_odometry: bool, count: int = 8) -> PlaneSlam:
     """A drive that sees floor, ceiling and the two walls along x only."""
-    slam = PlaneSlam()
+    frames, level = [], [abs(plane.normal[0]) < 0.5 for plane in room_planes()]
     for frame in drive(0, count=count).keyframes:
-        seen = [one for one, plane in zip(frame.observations, room_planes(), strict=True) if abs(plane.normal[0]) < 0.5]
         motion = frame.motion if with_odometry else None
-        slam.add_keyframe(Keyframe(frame.stamp_ns, seen, motion, frame.world_T_body_guess))
-    return slam
+        frames.append(replace(frame, observations=list(compress(frame.observations, level)), motion=motion))
+    return run_of(frames)
 
 
 def test_a_run_says_what_only_odometry_holds_and_how_well():
@@ -127,9 +127,7 @@ def test_without_odometry_the_graph_stands_and_says_what_is_assumed():
 
 
 def test_a_keyframe_without_odometry_and_without_planes_is_held_by_the_assumption_alone():
-    slam = PlaneSlam()
-    for index in range(3):
-        slam.add_keyframe(Keyframe(index * 10**9, []))
+    slam = run_of(Keyframe(index * 10**9, []) for index in range(3))
     assert {stretch.part for stretch in slam.open_directions} == {"position", "orientation"}
     assert np.isfinite(slam.marginal_covariance(pose_symbol(2))).all()
 

@@ -104,10 +104,9 @@ def test_too_few_keyframes_and_an_empty_map_are_doubtful():
 
 
 def test_observations_that_match_nothing_leave_keyframes_to_odometry():
-    slam, rig = PlaneSlam(), hall()[1]
-    for index, keyframe in enumerate(drive(0, count=12).keyframes):
-        slam.add_keyframe(keyframe if index < 4 else replace(keyframe, observations=[]))
-    (reason,) = assess_run(slam, rig).reasons
+    frames = drive(0, count=12).keyframes
+    slam = run_of([*frames[:4], *(replace(frame, observations=[]) for frame in frames[4:])])
+    (reason,) = assess_run(slam, hall()[1]).reasons
     assert "8 of 11 keyframes saw no wall that was known (keyframes 4 to 11)" in reason
 
 
