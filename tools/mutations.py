@@ -223,7 +223,7 @@ tests/slam/tracking/test_calibration_by_graph.py::test_what_is_seen_after_the_gr
 calibration: what steps share is left out of the covariances
 slam/backend/estimator.py
 tests/slam/tracking/test_calibration_by_graph.py::test_poses_far_from_what_was_seen_are_honest
--unknown = self._shared if shared else None
+-unknown = self._known_shared if shared else None
 +unknown = None
 
 back end: what Cholesky cannot eliminate is tried by Cholesky again

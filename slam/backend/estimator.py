@@ -28,6 +28,8 @@ _RECENT = 10
 _MANY = 64
 #: What GTSAM says, in Python by a RuntimeError as any other, when elimination fails.
 INDETERMINATE = "Indeterminate linear system"
+#: Arguments of an update that adds and removes nothing.
+_NOTHING = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
 _invert_factored = get_lapack_funcs("potri", dtype=np.float64)
 
 
@@ -100,9 +102,9 @@ class Backend:
             BackendError: the system became indeterminate.
         """
         given = list(factors)
-        held = None if relinearize else self._out_of_use(given)
-        last = self._eliminated_last(key for factor in given for key in list(factor.keys()))
-        indices, _ = self._step(_graph_of(given), initial, list(remove), last, held)
+        used = {key for factor in given for key in list(factor.keys())}
+        held = None if relinearize else self._out_of_use(used)
+        indices, _ = self._step(_graph_of(given), initial, list(remove), self._eliminated_last(used), held)
         if relinearize:
             self._step()
         return indices
@@ -125,15 +127,11 @@ class Backend:
         below = set(keys).difference(*self._recent)
         if not below or len(keys) > _MANY:
             return
-        anew = gtsam.KeyList()
-        for key in sorted(below):
-            anew.push_back(key)
-        nothing = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
-        self._step(*nothing, self._eliminated_last(keys), self._all_but(set()), anew)
+        last, others = self._eliminated_last(keys), self._all_but(set())
+        self._step(*_NOTHING, last, others, _key_list(below))
 
-    def _out_of_use(self, factors: Sequence[Any]) -> gtsam.KeyList | None:
-        """Keys of the variables that need not be relinearised when factors are added; None: all may be."""
-        used = {key for factor in factors for key in list(factor.keys())}
+    def _out_of_use(self, used: set[int]) -> gtsam.KeyList | None:
+        """Keys of the variables that need not be relinearised when factors of some are added; None: all may be."""
         in_use, self._used = used | self._used, used
         self._n_updates += 1
         return None if self._n_updates % _ALL_EVERY == 0 else self._all_but(in_use)
@@ -151,7 +149,7 @@ class Backend:
     @timed("optimise")
     def relinearize_in_use(self) -> None:
         """Once more at the estimate what the last factors are of, and nothing else."""
-        self._step(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], None, self._all_but(self._used))
+        self._step(*_NOTHING, None, self._all_but(self._used))
 
     @timed("optimise")
     def exchange(self, factors: Iterable[Any], remove: Sequence[int], leaving: Iterable[int]) -> list[int]:
@@ -163,10 +161,8 @@ class Backend:
         Raises:
             BackendError: the system became indeterminate.
         """
-        gone, keys = set(leaving), gtsam.KeyList()
-        for key in sorted(set(self._isam.getLinearizationPoint().keys()) - gone):
-            keys.push_back(key)
-        return self._step(_graph_of(factors), gtsam.Values(), list(remove), None, None, keys)[0]
+        staying = _key_list(set(self._isam.getLinearizationPoint().keys()).difference(leaving))
+        return self._step(_graph_of(factors), gtsam.Values(), list(remove), None, None, staying)[0]
 
     @timed("optimise")
     def settle(self, rounds: int) -> None:
@@ -207,9 +203,6 @@ class Backend:
         """The same factors under the same indices, linearised where they are, eliminated by QR after a failure.
 
         Of an update whose elimination failed iSAM2 has all but the tree.
-
-        Raises:
-            BackendError: the system is indeterminate, or the failure is another one.
         """
         if INDETERMINATE not in str(failure):
             raise BackendError(_first_line(failure)) from failure
@@ -317,18 +310,14 @@ class Backend:
         With the uncertainty of what factors share that is no variable of the graph, unless it is asked without.
         """
         joint = self._joint_of(keys)
-        unknown = self._shared if shared else None
+        if shared and self._known_shared is None:
+            self._known_shared = self._ask_shared()
+        unknown = self._known_shared if shared else None
         return joint if unknown is None else joint.plus(np.vstack([unknown.effect_on(key) for key in keys]))
 
     def share(self, unknown: Callable[[], SharedUnknown | None]) -> None:
         """Let covariances that are read hold that of an unknown that factors share; it is asked for when they are."""
         self._ask_shared = unknown
-
-    @property
-    def _shared(self) -> SharedUnknown | None:
-        if self._known_shared is None:
-            self._known_shared = self._ask_shared()
-        return self._known_shared
 
     @timed("optimise")
     def with_shared(self, key: int, instead: Mapping[int, gtsam.GaussianFactor]) -> SharedUnknown:
@@ -415,6 +404,13 @@ class Backend:
         self._step(old.getFactorsUnsafe(), values)
 
 
+def _key_list(keys: Iterable[int]) -> gtsam.KeyList:
+    ascending = gtsam.KeyList()
+    for key in sorted(keys):
+        ascending.push_back(key)
+    return ascending
+
+
 def _graph_of(factors: Iterable[Any]) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
@@ -424,11 +420,8 @@ def _graph_of(factors: Iterable[Any]) -> gtsam.NonlinearFactorGraph:
 
 def _inverse_of_information(linear: gtsam.GaussianFactorGraph, keys: Sequence[int]) -> FloatArray | None:
     """Joint covariance of some variables of a linear graph; None: the information is not positive to rounding."""
-    order = gtsam.Ordering()
-    for key in keys:
-        order.push_back(key)
     try:
-        information, _ = linear.marginal(list(keys)).hessian(order)
+        information, _ = linear.marginal(list(keys)).hessian(gtsam.Ordering(list(keys)))
         scale = 1.0 / np.sqrt(np.diag(information))
         information *= scale
         information *= scale[:, None]

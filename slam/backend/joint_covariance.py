@@ -72,9 +72,7 @@ class SharedUnknown:
     def of(cls, key: int, linear: gtsam.GaussianFactorGraph) -> SharedUnknown:
         """Out of a linear graph that has it as a variable."""
         order = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, [key])
-        others = gtsam.Ordering()
-        for position in range(order.size() - 1):
-            others.push_back(order.at(position))
+        others = gtsam.Ordering([order.at(position) for position in range(order.size() - 1)])
         net, rest = linear.eliminatePartialSequential(others, gtsam.EliminateQR)
         information, vector = rest.hessian()
         solutions = []

@@ -10,15 +10,9 @@ from spplanes._jit import njit
 
 @njit(cache=True)
 def may_have_changed(points, asked, nearest, next_m, known, reach):
-    """Which of points (N, 3) may have another element nearest, within reach (N,), than where that was asked for, (N,).
+    """Which of points (N, 3) may have another of the elements (M, 9) nearest, within reach (N,), than where they were.
 
-    Args:
-        points: where they are, m.
-        asked: where they were, shape (N, 3), m.
-        nearest: the element that was nearest then, shape (N,); -1: none.
-        next_m: how far all others were at least, shape (N,), m.
-        known: the elements, shape (M, 9).
-        reach: m.
+    Of there (`asked`) is known which was nearest, -1 for none, and how far all others were at least, (N,), m.
     """
     changed = np.empty(len(points), np.bool_)
     for k in range(len(points)):
@@ -34,15 +28,9 @@ def may_have_changed(points, asked, nearest, next_m, known, reach):
 
 @njit(cache=True)
 def point_to_plane(elements, motion, nearest, known, reach, least_cosine):
-    """Elements whose nearest known one is a partner: of the same sort, within reach, and looking the same way.
+    """Elements (N, 9) whose nearest known one (M, 9) is a partner: of the same sort, within reach, and looking alike.
 
-    Args:
-        elements: of a scan, shape (N, 9); see `slam.frontend.scan_surfaces`.
-        motion: known_T_seen, shape (4, 4).
-        nearest: of the known elements, of the same sort, shape (N,); -1: none.
-        known: where the scan is laid, shape (M, 9).
-        reach: how far off a partner may be, shape (N,), m.
-        least_cosine: of two directions that are one; across an edge either way.
+    Under a motion known_T_seen (4, 4); `nearest` (N,) is of the same sort, -1: none; edges look either way.
 
     Returns:
         Which elements (K,), how far off along their partners' directions (K,), m, the derivatives by the tangent of the

@@ -16,8 +16,6 @@ from spplanes._check import FloatArray
 
 #: Most planes of either side that take part, largest first.
 _MOST = 28
-#: Outlines are simplified to this, m.
-_ROUGH = 0.05
 
 
 class Rings(NamedTuple):
@@ -114,5 +112,5 @@ def _drawn_coarsely(plane: Plane) -> Plane:
     """The plane with an outline as rough as what is asked of it: whether two meet, and what they have in common."""
     if plane.outline is None:
         return plane
-    outline = polygonal(valid(plane.outline.simplify(_ROUGH)))
+    outline = polygonal(valid(plane.outline.simplify(0.05)))
     return Plane._trusted(plane.frame, plane.covariance, plane.n_points, outline)  # type: ignore[arg-type]

@@ -52,23 +52,12 @@ def unlike(rotations, trace, most):
 
 @njit(cache=True)
 def best_shifts(own, normals, offsets, weights, middles, reaches, strongest, distance, sigma, tail):
-    """The translations that most planes agree with, of all that three of the strongest pairs define.
+    """The BEST translations (K, 3) of all that three of the strongest pairs (S,) define, and the weight each finds.
 
-    Args:
-        own: seen plane of every pair, ascending, shape (P,).
-        normals: known normal of every pair, shape (P, 3).
-        offsets: how far the plane seen has to move along it, shape (P,), m.
-        weights: of the planes seen, largest first, shape (N,).
-        middles: from the middle of the plane seen to that of the known one, shape (P, 3), m.
-        reaches: how near these have to come for the two to meet, shape (P,), m.
-        strongest: pairs that make translations, shape (S,).
-        distance: two planes are one up to this, the less the further apart, m.
-        sigma: standard deviation of the translation, m; what it costs is `tail` log(1 + chi2 / (2 tail)).
-        tail: see sigma.
-
-    Returns:
-        translations (K, 3), best first, none within half of `distance` of a better one, and the weight each finds (K,),
-        K <= BEST.
+    Of every pair (P,) the plane seen, ascending (`own`), the known normal, how far the plane has to move along it, from
+    its middle to that of the known one, and how near these have to come for the two to meet, m; `weights` (N,) are of
+    the planes seen. Two planes are one up to `distance`, the less the further apart, and no translation is within half
+    of that of a better one. Each costs `tail` log(1 + chi2 / (2 tail)).
     """
     shifts, found, scores, count = np.empty((BEST, 3)), np.empty(BEST), np.empty(BEST), 0
     for k in range(BEST):
@@ -90,10 +79,7 @@ def best_shifts(own, normals, offsets, weights, middles, reaches, strongest, dis
 
 @inlined
 def _keep(shift, weight, score, shifts, found, scores, count, apart):
-    """Put a translation among the best, in place of those as near as `apart` that are worse; how many there are then.
-
-    One that is as near to a better one is the same again, and left out.
-    """
+    """Put a translation among the best, if none as near as `apart` is better, in place of those; how many are then."""
     kept = 0
     for k in range(count):
         square = (shifts[k, 0] - shift[0]) ** 2 + (shifts[k, 1] - shift[1]) ** 2 + (shifts[k, 2] - shift[2]) ** 2
@@ -131,10 +117,7 @@ def _weight_left(own, weights):
 
 @inlined
 def _weight_found(own, normals, offsets, weights, middles, reaches, left, shift, distance, needed):
-    """Weight of the planes that a translation brings to a known one that they meet, none at `distance` from it.
-
-    -inf where it cannot be more than is needed.
-    """
+    """Weight of the planes that a translation brings nearer than `distance` to a known one; -inf: less than needed."""
     weight, p = 0.0, 0
     while p < own.size and weight + left[p] > needed:
         plane, nearest = own[p], distance
@@ -164,27 +147,17 @@ def _shift_of(pairs, normals, offsets, distance, sigma, shift):
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     scale = 1.0 / (xx * a + xy * b + xz * c)
     e, f, g = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    shift[0], shift[1], shift[2] = (
-        (a * x + b * y + c * z) * scale,
-        (b * x + e * y + f * z) * scale,
-        ((c * x + f * y + g * z) * scale),
-    )
+    shift[0] = (a * x + b * y + c * z) * scale
+    shift[1] = (b * x + e * y + f * z) * scale
+    shift[2] = (c * x + f * y + g * z) * scale
 
 
 @njit(cache=True)
 def partners(motion, mine, theirs, least_cosine, distance, gap):
-    """For every plane seen, the known plane nearest in offset that it is under a motion, where their outlines meet.
+    """(seen, known), (K, 2): for planes seen the known one nearest in offset that each is under a motion known_T_seen.
 
-    Args:
-        motion: known_T_seen, shape (4, 4).
-        mine: of the planes seen frames (N, 4, 4), which have no outline (N,), and `Rings`.
-        theirs: the same of those known.
-        least_cosine: of the angle between two that are one.
-        distance: two planes are one up to this offset, m.
-        gap: and up to this between their outlines, m.
-
-    Returns:
-        (seen, known), shape (K, 2).
+    Of either side frames (N, 4, 4), which have no outline (N,), and `Rings`. Two are one up to an angle, an offset
+    (`distance`), and a gap between their outlines, m.
     """
     frames, bare, corners, ends, of = mine
     others, other_bare, other_corners, other_ends, other_of = theirs
@@ -246,10 +219,7 @@ def _flattened(corners, first, last, frame, other):
 def come_near(corners, ends, others, other_ends, gap):
     """Whether two polygons, even-odd, have points no farther apart than a gap.
 
-    Args:
-        corners, ends: rings of the one, as in `Rings`, shapes (C, 2) and (R + 1,); ends count from the first on.
-        others, other_ends: of the other.
-        gap: not below nought.
+    Of each its rings, corners (C, 2) and ends (R + 1,) as in `Rings`; ends count from the first on.
     """
     first, other_first = ends[0], other_ends[0]
     if not _boxes_come_near(corners, others, gap):
@@ -322,12 +292,8 @@ def _side(ends, a, points, p):
 @inner(cache=True)
 def _square(ends, a, points, p):
     """Square of the distance of a point from the segment from end a to the next."""
-    x, y, px, py = (
-        ends[a + 1, 0] - ends[a, 0],
-        ends[a + 1, 1] - ends[a, 1],
-        points[p, 0] - ends[a, 0],
-        points[p, 1] - ends[a, 1],
-    )
+    x, y = ends[a + 1, 0] - ends[a, 0], ends[a + 1, 1] - ends[a, 1]
+    px, py = points[p, 0] - ends[a, 0], points[p, 1] - ends[a, 1]
     along, length = 0.0, x**2 + y**2
     if length > 0.0:
         along = min(max((px * x + py * y) / length, 0.0), 1.0)

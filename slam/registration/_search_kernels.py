@@ -58,15 +58,9 @@ def _looked_up(columns, rows, right, up, table, places):
 def peaks_of(keys, strides, order, scores, prominence):
     """The peak that each cell of a sparse grid belongs to, as the index of its highest cell, shape (N,).
 
-    Cells climb from the highest down: one without a higher neighbour starts a peak, one between two joins them if the
-    lower of both rises by less than `prominence` above it.
-
-    Args:
-        keys: cells as one ascending number each, shape (N,), with a margin between rows.
-        strides: what a step along each of the three axes adds to a key, shape (3,).
-        order: indices of the cells from the highest score down, shape (N,).
-        scores: of the cells, shape (N,).
-        prominence: in the unit of the scores.
+    Cells climb from the highest down (`order`): one without a higher neighbour starts a peak, one between two joins
+    them if the lower of both rises by less than `prominence` above it. Their keys (N,) ascend, with a margin between
+    rows; `strides` (3,) is what a step along each axis adds to a key.
     """
     parent = np.empty(keys.size, np.int64)
     for index in range(keys.size):

@@ -30,12 +30,8 @@ _PROMINENCE = 1.0
 _ONE_PLACE_M = 0.3
 #: Blocks of motions have sides of 2^level cells; the highest level, and of boxes that would have too many blocks there.
 _TOP_LEVEL, _HIGHEST_LEVEL = 4, 7
-#: Most blocks kept from one level to the next, and when a motion to measure the others by is looked for at first.
-_MOST_BLOCKS, _BEAM_WIDTH = 10_000, 100
-#: A box whose best motion lies at its edge is made so much wider, at most so many times.
-_WIDER, _MOST_TIMES = 2.0, 2
-#: At an edge it is this near to it, in half cells and turns: two cells and two turns.
-_EDGE = np.array((4.0, 4.0, 2.0))
+#: Most blocks kept from one level to the next.
+_MOST_BLOCKS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,11 +119,10 @@ def search_place(
     if not looks >= 1.0:
         raise ValueError(f"looks: expected at least 1, got {looks}")
     result = _search(a, b, guess, covariance, reach, looks)
-    for _ in range(_MOST_TIMES):
-        if not result.is_at_edge:
-            break
-        reach = np.minimum(_WIDER * reach, (np.inf, np.inf, np.pi))
-        result = _search(a, b, guess, covariance, reach, looks)
+    for _ in range(2):
+        if result.is_at_edge:
+            reach = np.minimum(2.0 * reach, (np.inf, np.inf, np.pi))
+            result = _search(a, b, guess, covariance, reach, looks)
     return result
 
 
@@ -139,11 +134,15 @@ def _search(
     first = _first_level(reach, grid[2])
     information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     steepest = float(np.sqrt(np.linalg.eigvalsh(information[:2, :2])[-1]))
-    constant = np.log1p(-_NOTHING) - np.log(max(_prior_mass(covariance) / (CELL_M**2 * grid[2]), 1.0))
+    unit_mass = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
+    mass = float(unit_mass * np.sqrt(np.linalg.det(covariance)))  # of all motions, by their density at the guess
+    constant = np.log1p(-_NOTHING) - np.log(max(mass / (CELL_M**2 * grid[2]), 1.0))
 
     def prior(blocks: FloatArray) -> FloatArray:
-        """Log of the prior at the middles of blocks, (M,)."""
-        return constant + _log_student(blocks * grid, information)
+        """Log of the prior, a Student t, at the middles of blocks, (M,)."""
+        offsets = blocks * grid
+        squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
+        return constant + -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
 
     def scored(blocks: FloatArray, level: int) -> FloatArray:
         """Bound of the log of the posterior in blocks of a level, but for the prior's slope in them, (M,)."""
@@ -165,7 +164,8 @@ def _search(
     if not len(blocks):
         return SearchResult((), reach, False)
     modes = _modes(guess, blocks, scores, scores - prior(blocks), grid, looks)
-    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - _EDGE * grid))
+    near = np.array((4.0, 4.0, 2.0)) * grid  # two cells and two turns
+    edge = bool(np.any(np.abs(blocks[np.argmax(scores)] * grid) > reach - near))
     return SearchResult(modes, reach, edge and expit(modes[0].log_odds) > _NOTHING)
 
 
@@ -174,7 +174,7 @@ def _beam_search(
 ) -> float:
     """Score of the best motion found where of each level only the most promising blocks are split."""
     while level:
-        blocks, level = split(blocks[_largest(scores, _BEAM_WIDTH)], level), level - 1
+        blocks, level = split(blocks[_largest(scores, 100)], level), level - 1
         scores = scored(blocks, level)
     return float(scores.max())
 
@@ -210,10 +210,8 @@ def _modes(
     blocks, scores, evidence, keys = blocks[rank], scores[rank], evidence[rank], (cells @ strides)[rank]
     labels = peaks_of(keys, strides, np.argsort(-scores, kind="stable"), scores, _PROMINENCE)
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    peaks = [
-        _peak(member, guess + blocks[member] * grid, scores[member], evidence[member], grid, looks)
-        for member in members
-    ]
+    poses = guess + blocks * grid
+    peaks = [_peak(member, poses[member], scores[member], evidence[member], grid, looks) for member in members]
     peaks.sort(key=lambda peak: -peak.log_mass)
     modes = []
     while peaks:
@@ -243,10 +241,8 @@ def _mode(place: list[_Peak], scores: FloatArray) -> Mode:
     masses = np.array([one.log_mass for one in place])
     shares = np.exp(masses - _log_sum(masses))
     mean = shares @ np.array([one.pose for one in place])
-    covariance = sum(
-        share * (one.covariance + np.outer(one.pose - mean, one.pose - mean))
-        for share, one in zip(shares, place, strict=True)
-    )
+    spreads = [one.covariance + np.outer(one.pose - mean, one.pose - mean) for one in place]
+    covariance = sum(share * spread for share, spread in zip(shares, spreads, strict=True))
     inside = np.zeros(len(scores), dtype=bool)
     inside[np.concatenate([one.cells for one in place])] = True
     log_odds = _log_sum(masses) - _log_sum(np.append(scores[~inside], np.log(_NOTHING)))
@@ -281,18 +277,6 @@ def split(blocks: np.ndarray, level: int) -> np.ndarray:
     step = 2 ** (level - 1)  # half the side of a child in half cells
     corners = np.array([(i, j, 0) for i in (-step, step) for j in (-step, step)], dtype=np.float64)
     return (blocks[:, None, :] + corners).reshape(-1, 3)
-
-
-def _log_student(offsets: FloatArray, information: FloatArray) -> FloatArray:
-    """Log of the prior's density relative to that at the guess, shape (M,)."""
-    squared = np.einsum("ni,ij,nj->n", offsets, information, offsets)
-    return -0.5 * (_TAIL + 3.0) * np.log1p(squared / _TAIL)
-
-
-def _prior_mass(covariance: FloatArray) -> float:
-    """Integral of that relative density over all motions, m^2 rad."""
-    constant = gamma(0.5 * _TAIL) * (_TAIL * np.pi) ** 1.5 / gamma(0.5 * (_TAIL + 3.0))
-    return float(constant * np.sqrt(np.linalg.det(covariance)))
 
 
 def _log_sum(values: FloatArray) -> float:

@@ -29,15 +29,12 @@ from spplanes._check import FloatArray
 
 #: Walls are upright to this, and one wall in two views to that, rad and m.
 _UPRIGHT, _TURN_RAD, _SHIFT_M = 0.1, np.deg2rad(3.0), 0.15
-#: Two walls fix a place when their directions differ by this, sine of the angle.
-_ACROSS = 0.3
-#: Shorter ones say too little, m; and only so many of the longest are paired.
-_LEAST_M, _MOST_WALLS = 0.5, 12
+#: Shorter ones say too little, m.
+_LEAST_M = 0.5
 #: Share of the lengths seen that the best place explains at least; another place explains at most this share of it.
 _ENOUGH, _CLEAR = 0.6, 0.85
-#: Planes are level when their normals are nearer to upright than this, cosine of 20 deg; directions of planes span all
-#: three when the least singular value of their normals is no smaller than this share of the largest.
-_LEVEL, _SPANNED = 0.94, 0.2
+#: Planes are level when their normals are nearer to upright than this, cosine of 20 deg.
+_LEVEL = 0.94
 #: Places nearer to each other than this are one, m and rad.
 _SAME_M, _SAME_RAD = 0.5, np.deg2rad(10.0)
 
@@ -48,18 +45,19 @@ def find_start(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
     Raises:
         ValueError: no two walls were seen, no place explains enough of what was seen, or several do.
     """
-    seen = planes_of(keyframe.observations)
-    in_space = _spans_all([plane.normal for plane in seen])
+    seen, known = planes_of(keyframe.observations), [one.plane for one in planes]
+    spread = np.linalg.svd(np.array([plane.normal for plane in seen]).reshape(-1, 3), compute_uv=False)
+    in_space = len(spread) == 3 and spread[2] > 0.2 * spread[0]
     try:
         start = _on_the_floor(planes, keyframe)
     except _SeveralPlacesError as error:
-        if not in_space or _levels_fit([one.plane for one in planes], seen, error.best):
+        if not in_space or _levels_fit(known, seen, error.best):
             raise
     except ValueError:
         if not in_space:
             raise
     else:
-        if not in_space or _levels_fit([one.plane for one in planes], seen, start):
+        if not in_space or _levels_fit(known, seen, start):
             return start
     return _in_space(planes, seen)
 
@@ -87,14 +85,9 @@ def _in_space(planes: Sequence[MapPlane], seen: Sequence[Plane]) -> FloatArray:
 def _one_place(
     shares: FloatArray, poses: Sequence[FloatArray], what: str, wanted: str, told: Callable[[FloatArray], str]
 ) -> FloatArray:
-    """The pose (4, 4) that explains most of what is seen, if that is enough, and far more than any other place does.
+    """The pose (4, 4) that explains the most, if its share (N,) is enough, and far more than any other place does.
 
-    Args:
-        shares: of what was seen that each pose explains, shape (N,).
-        poses: N of them.
-        what: was seen, in a word.
-        wanted: how a user may tell the start instead.
-        told: a pose as a user would tell it.
+    Told to a user are what was seen, the start that is wanted of him instead, and poses as he would tell them.
     """
     if shares.max(initial=0.0) < _ENOUGH:
         raise ValueError(
@@ -110,11 +103,6 @@ def _one_place(
                 poses[best],
             )
     return poses[best]
-
-
-def _spans_all(normals: Sequence[FloatArray]) -> bool:
-    values = np.linalg.svd(np.array(normals).reshape(-1, 3), compute_uv=False)
-    return len(values) == 3 and bool(values[2] > _SPANNED * values[0])
 
 
 def _levels_fit(known: Sequence[Plane], seen: Sequence[Plane], start: FloatArray) -> bool:
@@ -134,7 +122,7 @@ def _on_the_floor(planes: Sequence[MapPlane], keyframe: Keyframe) -> FloatArray:
     """The place on the floor by walls."""
     known = _walls([_ends_of(plane) for plane in planes])
     seen = _walls([(observation.normal, observation.vertices) for observation in keyframe.observations])
-    seen = seen[np.argsort(seen[:, 2] - seen[:, 3], kind="stable")][:_MOST_WALLS]
+    seen = seen[np.argsort(seen[:, 2] - seen[:, 3], kind="stable")][:12]
     poses = _hypotheses(known, seen)
     if not len(poses):
         raise ValueError("--start: expected two walls of the map in the first keyframe, found none; give X,Y,HEADING")
@@ -165,8 +153,8 @@ def _hypotheses(known: FloatArray, seen: FloatArray) -> FloatArray:
     """Poses (N, 3), x, y, heading, at which two walls seen are two of the map."""
     poses = []
     for first, second in combinations(seen, 2):
-        if abs(np.sin(first[0] - second[0])) < _ACROSS:
-            continue
+        if abs(np.sin(first[0] - second[0])) < 0.3:
+            continue  # they fix no place
         for one in known:
             heading = one[0] - first[0]
             other = known[np.abs(np.angle(np.exp(1j * (known[:, 0] - second[0] - heading)))) < _TURN_RAD]

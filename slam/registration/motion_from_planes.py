@@ -15,11 +15,6 @@ from spplanes._check import FloatArray
 _OFF_M = 0.01
 #: A pair of this chi2 counts half: of three degrees of freedom, nine true ones in ten have less.
 _DOUBTFUL = 6.0
-_STEPS = 4
-#: Narrower planes tilt no more than such ones, m.
-_NARROWEST_M = 0.1
-#: Least second singular value of the known normals: below, all look one way.
-_SECOND = 0.3
 
 
 def fit_pairs(
@@ -57,7 +52,7 @@ def fit_pairs(
 
 def _fix_a_motion(normals: FloatArray) -> bool:
     """Whether planes of these normals (K, 3) are three at least, and look more than one way."""
-    return len(normals) >= 3 and bool(np.linalg.eigvalsh(normals.T @ normals)[1] >= _SECOND**2)
+    return len(normals) >= 3 and bool(np.linalg.eigvalsh(normals.T @ normals)[1] >= 0.3**2)
 
 
 def _solved(
@@ -74,7 +69,7 @@ def _solved(
     i, j = np.concatenate(pairs).T
     weights = np.linalg.inv(_scatter(motions[of], seen, known, i, j, loose * _OFF_M))
     expected, information = np.diag(np.repeat([sigmas[1], sigmas[0]], 3) ** -2.0), np.empty(0)
-    for _ in range(_STEPS):
+    for _ in range(4):
         off, jacobian = differences(motions[of], seen.frames[i], known.normals[j], known.distances[j])
         chi2 = np.einsum("kc,kcd,kd->k", off, weights, off)
         weighted = jacobian.transpose(0, 2, 1) @ weights / (1.0 + chi2 / _DOUBTFUL)[:, None, None]
@@ -102,8 +97,8 @@ def _scatter(
 
 
 def _widths(planes: PlaneArrays) -> FloatArray:
-    """How wide planes are, (N,), m: the root of their area; of one without an outline a metre."""
-    return np.where(planes.bare, 1.0, np.maximum(planes.weights, _NARROWEST_M))
+    """How wide planes are, (N,), m: the root of their area, at least 0.1; of one without an outline a metre."""
+    return np.where(planes.bare, 1.0, np.maximum(planes.weights, 0.1))
 
 
 def differences(

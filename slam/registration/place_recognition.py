@@ -21,13 +21,8 @@ MAX_LEAN = 0.2
 _PARALLEL = np.radians(15.0)
 #: Standard deviation of a pose of which nothing is known: m, m, rad.
 _UNKNOWN = np.array((1e3, 1e3, 1e2))
-#: Hypotheses that are worked out to the end.
-_REFINED = 24
-#: These bound the time: walls of a constellation (the longest are taken), hypotheses scored, and tried for corridors.
-_MAX_WALLS, _MAX_HYPOTHESES, _MAX_PARALLEL = 40, 4000, 48
-#: Fewest walls of a match of which nothing was known, those in line with one another counted once; and the share of the
-#: shorter of two walls that the other must cover.
-_FEWEST, _OVERLAP = 4, 0.3
+#: The share of the shorter of two walls that the other must cover.
+_OVERLAP = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +124,7 @@ def match_constellations(
     order_b, walls_b = _as_rows(b)
     if min(len(order_a), len(order_b)) < 2:
         return None
-    search = _Search(walls_a, walls_b, significance, _FEWEST)
+    search = _Search(walls_a, walls_b, significance, fewest=4)
     best = search.best_motion() or search.best_parallel_motion()
     return None if best is None else best.of_walls(order_a, order_b)
 
@@ -157,11 +152,13 @@ def match_near(
     order_b, walls_b = _as_rows(b)
     if min(len(order_a), len(order_b)) < 1:
         return None
-    search = _Search(walls_a, walls_b, significance, 1)
-    motion = search.motion_near(pose, covariance)
+    search = _Search(walls_a, walls_b, significance, fewest=1)
+    motion = search.work_out([], pose, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
     if motion is None:
         return None
-    return replace(motion.of_walls(order_a, order_b), by_walls=search.covariance_of(motion))
+    rows_a, rows_b = motion.pairs.T
+    _, by_walls, _ = fit_pose(motion.pose, walls_a[rows_a], walls_b[rows_b], search.no_prior)
+    return replace(motion.of_walls(order_a, order_b), by_walls=by_walls)
 
 
 def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
@@ -171,14 +168,15 @@ def _as_rows(walls: Sequence[ScanLine | Wall]) -> tuple[np.ndarray, FloatArray]:
         along = wall.endpoints @ np.array((-np.sin(wall.alpha), np.cos(wall.alpha)))
         (v_alpha, cov), (_, v_rho) = wall.covariance.tolist()
         row[:] = wall.alpha, wall.rho, v_alpha, cov, v_rho, along.min(), along.max()
-    order = np.argsort(rows[:, 5] - rows[:, 6], kind="stable")[:_MAX_WALLS]
+    order = np.argsort(rows[:, 5] - rows[:, 6], kind="stable")[:40]  # bounds the time
     return order, rows[order]
 
 
 class _Search:
     """The search between two sets of rows, which it goes by; see `match_constellations`."""
 
-    def __init__(self, a: FloatArray, b: FloatArray, significance: float, fewest: int) -> None:
+    def __init__(self, a: FloatArray, b: FloatArray, significance: float, *, fewest: int) -> None:
+        """With the fewest walls of a match, those in line with one another counted once."""
         self.a, self.b = a, b
         self.significance, self.fewest = significance, fewest
         self.gate = float(chdtri(2, significance))
@@ -187,16 +185,19 @@ class _Search:
         self.in_line_a, self.in_line_b = _in_line(a, self.gate), _in_line(b, self.gate)
 
     def best_motion(self) -> ConstellationMatch | None:
-        """The motion with the most evidence of those that two walls in different directions fix."""
+        """The motion with the most evidence of those that two walls in different directions fix.
+
+        4000 of these are scored at most, and 24 worked out to the end, which bounds the time.
+        """
         pairs = self._correspondences()
         angle_gate = float(chdtri(1, self.significance))
         members, poses, scores = rank_hypotheses(
-            self.a, self.b, self.densities, pairs, _MAX_HYPOTHESES, self.no_prior, self.gate, angle_gate,
+            self.a, self.b, self.densities, pairs, 4000, self.no_prior, self.gate, angle_gate,
             np.sin(_PARALLEL), _OVERLAP,
         )  # fmt: skip
-        best = np.argsort(-scores, kind="stable")[:_REFINED]
-        motions = [self._work_out([tuple(pairs[k]) for k in members[h]], poses[h], self.no_prior) for h in best]
-        return self._decide([motion for motion in motions if motion is not None], len(scores))
+        best = np.argsort(-scores, kind="stable")[:24]
+        motions = [self.work_out([tuple(pairs[k]) for k in members[h]], poses[h], self.no_prior) for h in best]
+        return self._decide(motions, len(scores))
 
     def best_parallel_motion(self) -> ConstellationMatch | None:
         """The motion of walls of one direction, such as a corridor's, that leaves open how far along them.
@@ -204,7 +205,7 @@ class _Search:
         What is known of that is that the two walls it starts from overlap.
         """
         motions = []
-        for i, j in self._correspondences()[:_MAX_PARALLEL]:
+        for i, j in self._correspondences()[:48]:
             wall, other = self.a[i], self.b[j]
             normal = np.array((np.cos(other[0]), np.sin(other[0])))
             along = np.array((-normal[1], normal[0]))
@@ -212,25 +213,16 @@ class _Search:
             prior = self.no_prior.copy()
             prior[:2, :2] += 12.0 * np.outer(along, along) / (np.ptp(wall[5:]) + np.ptp(other[5:])) ** 2
             parallel = np.abs(np.sin(self.a[:, 0] - wall[0])) < np.sin(_PARALLEL)
-            motions.append(self._work_out([(i, j)], np.array((*shift, other[0] - wall[0])), prior, parallel))
-        found = self._decide([motion for motion in motions if motion is not None], len(motions))
+            motions.append(self.work_out([(i, j)], np.array((*shift, other[0] - wall[0])), prior, parallel))
+        found = self._decide(motions, len(motions))
         return None if found is None else replace(found, verdict="unobservable")
-
-    def motion_near(self, pose: FloatArray, covariance: FloatArray) -> ConstellationMatch | None:
-        """The motion about one that is known with a covariance, and the walls that are the same under it."""
-        return self._work_out([], pose, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
-
-    def covariance_of(self, motion: ConstellationMatch) -> FloatArray:
-        """Covariance of a motion by its walls alone, large where they leave it open."""
-        rows_a, rows_b = motion.pairs.T
-        return fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)[1]
 
     def _correspondences(self) -> np.ndarray:
         """All pairs of a wall of a and one of b, pairs of long walls first, shape (C, 2)."""
         pairs = np.array([(i, j) for i in range(len(self.a)) for j in range(len(self.b))])
         return pairs[np.argsort(pairs.sum(axis=1), kind="stable")]
 
-    def _work_out(
+    def work_out(
         self, seeds: list, pose: FloatArray, prior: FloatArray, allowed: np.ndarray | None = None
     ) -> ConstellationMatch | None:
         """Take the pair with the most evidence, estimate the motion anew, until none is left; `allowed` rows of a."""
@@ -254,9 +246,10 @@ class _Search:
             return None
         return ConstellationMatch(pose, covariance, np.array(pairs), float(chi2), n_dof, evidence)
 
-    def _decide(self, motions: list[ConstellationMatch], n_tried: int) -> ConstellationMatch | None:
+    def _decide(self, worked_out: list[ConstellationMatch | None], n_tried: int) -> ConstellationMatch | None:
         """The motion with the most evidence, if it is more than chance gives, and whether another one rivals it."""
         threshold = -np.log(self.significance)
+        motions = [motion for motion in worked_out if motion is not None]
         if not motions:
             return None
         best = max(motions, key=lambda motion: motion.evidence)
@@ -271,15 +264,12 @@ class _Search:
     def _evidence_across(self, motion: ConstellationMatch) -> float:
         """Evidence for the position in its weakest direction: of the walls across it, but for one that defines it."""
         weakest = np.linalg.eigh(motion.covariance[:2, :2])[1][:, 1]
-        across = [
-            abs(np.cos(self.b[j, 0]) * weakest[0] + np.sin(self.b[j, 0]) * weakest[1]) > np.sin(_PARALLEL)
-            for _, j in motion.pairs
-        ]
-        fixing = [pair for pair, is_across in zip(motion.pairs, across, strict=True) if is_across]
-        known = [pair for pair, is_across in zip(motion.pairs, across, strict=True) if not is_across] + fixing[:1]
-        evidence = 0.0
+        directions = self.b[motion.pairs[:, 1], 0]
+        across = np.abs(np.cos(directions) * weakest[0] + np.sin(directions) * weakest[1]) > np.sin(_PARALLEL)
+        fixing, evidence = motion.pairs[across], 0.0
+        known = [*motion.pairs[~across], *fixing[:1]]
         for i, j in fixing[1:]:
-            rows_a, rows_b = (np.array(side) for side in zip(*known, strict=True))
+            rows_a, rows_b = np.array(known).T
             pose, covariance, _ = fit_pose(motion.pose, self.a[rows_a], self.b[rows_b], self.no_prior)
             table = score_table(pose, covariance, self.a[[i]], self.b[[j]], self.densities[[j]], self.gate, _OVERLAP)
             if not self._follows(known, i, j):

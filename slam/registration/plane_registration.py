@@ -18,8 +18,6 @@ from slam.registration.visibility import LinesOfSight
 from spplanes import Plane
 from spplanes._check import FloatArray
 
-#: Of the planes seen so many make hypotheses, the largest.
-_SEEDS = 9
 #: Two planes are one under a motion up to these, rad and m, and when their outlines come this near, m.
 _ANGLE, _DISTANCE, _GAP = np.deg2rad(3.5), 0.10, 0.5
 #: The same, as standard deviations, once a motion is worked out.
@@ -31,17 +29,10 @@ _LOOSE = (5.0, 1.0)
 _FAR, _TAIL = 6.0, 2.0
 #: Whatever carries a sensor keeps upright: standard deviation of its tilt, however long nobody looked, rad.
 _TILT_RAD = 0.5
-#: Planes closer in direction than this define no rotation: cosine of 20 deg.
-_PARALLEL = 0.94
-#: Rotations that are looked at closer, pairs that make translations, and motions whose outlines are compared.
-_ROTATIONS, _PAIRS, _MOTIONS = 40, 26, 20
-#: Motions worked out are one when no entry of their matrices differs by more, m and rad.
-_SAME = 1e-3
-#: Scores are told apart beyond this; and what is hidden from one place and not from the next changes them by such a
-#: share of what is seen.
-_ROUNDING, _ALIKE = 1e-9, 0.03
-#: Motions that cost so much more are other ones, not the same a little off.
-_CHEAP = 0.1
+#: Motions whose outlines are compared.
+_MOTIONS = 20
+#: What is hidden from one place and not from the next changes scores by such a share of what is seen.
+_ALIKE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +82,8 @@ def register_planes_globally(
         best = max(best, score)
     equals = [one for one in tried if one[0] >= best - alike]
     least = min((price for _, price, _ in equals), default=0.0)
-    return max(
-        (equal for equal in equals if equal[1] <= least + _CHEAP), key=lambda one: one[0], default=(0.0, 0.0, None)
-    )[2]
+    cheap = (one for one in equals if one[1] <= least + 0.1)  # beyond, it is not the same a little off
+    return max(cheap, key=lambda one: one[0], default=(0.0, 0.0, None))[2]
 
 
 def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple[float, PlaneMatching]]:
@@ -134,10 +124,7 @@ def pairs_under(
 def _worked_out(
     motions: Sequence[FloatArray], mine: PlaneArrays, theirs: PlaneArrays, sigmas: tuple[float, float]
 ) -> list[PlaneMatching]:
-    """Rough motions after least squares over the pairs they have, and over those they have then, in order, each once.
-
-    Those are left out that have not pairs enough.
-    """
+    """Rough motions after least squares over the pairs they have, and those they have then, in order, each once."""
     fits: list[tuple[FloatArray, FloatArray]] = []
     for loose in _LOOSE:
         pairs = [_partners(motion, mine, theirs) for motion in motions]
@@ -145,7 +132,7 @@ def _worked_out(
         motions = [motion for motion, _ in fits]
     found: list[PlaneMatching] = []
     for motion, covariance in fits:
-        if all(np.abs(motion - other.known_T_seen).max() >= _SAME for other in found):
+        if all(np.abs(motion - other.known_T_seen).max() >= 1e-3 for other in found):
             found.append(PlaneMatching(motion, covariance, pairs_under(motion, mine, theirs)))
     return found
 
@@ -162,12 +149,8 @@ def negative_log_prior(motion: FloatArray, sigmas: tuple[float, float]) -> float
         motion: shape (4, 4).
         sigmas: standard deviations of place and turn, m and rad.
     """
-    angle = angle_of(motion)
-    return (
-        float(_tilted(motion[2, 2]))
-        + _tail((angle / sigmas[1]) ** 2)
-        + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
-    )
+    turned = _tail((angle_of(motion) / sigmas[1]) ** 2)
+    return float(_tilted(motion[2, 2])) + turned + _tail(motion[:3, 3] @ motion[:3, 3] / sigmas[0] ** 2)
 
 
 def _tilted(cosines: Any) -> Any:
@@ -190,33 +173,24 @@ def _rotations(
     mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool
 ) -> list[tuple[float, FloatArray]]:
     """What rotations cost, with those under which most directions agree, best first, none twice."""
-    frames, angles = _frames(mine.normals[:_SEEDS], ordered=False)
-    others, other_angles = _frames(theirs.normals, ordered=True)
-    if not len(frames) or not len(others):
+    frames, others = _frames(mine.normals[:9], ordered=False), _frames(theirs.normals, ordered=True)
+    if not len(frames[0]) or not len(others[0]):
         return []
     furthest = min(max(_FAR * sigma_rad, 0.1), np.pi)
-    rotations, traces = near_rotations(frames, angles, others, other_angles, _ANGLE, 1.0 + 2.0 * np.cos(furthest))
+    rotations, traces = near_rotations(frames, others, _ANGLE, 1.0 + 2.0 * np.cos(furthest))
     turns = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
     agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
     prices = _tail((turns / sigma_rad) ** 2) + (_tilted(rotations[:, 2, 2]) if upright else 0.0)
     best_first = np.argsort(prices - agree, kind="stable")
-    chosen = best_first[unlike(rotations[best_first], 1.0 + 2.0 * np.cos(_ANGLE), _ROTATIONS)]
+    chosen = best_first[unlike(rotations[best_first], 1.0 + 2.0 * np.cos(_ANGLE), 40)]
     return list(zip(prices[chosen].tolist(), rotations[chosen], strict=True))
 
 
 def near_rotations(
-    frames: FloatArray,
-    angles: FloatArray,
-    others: FloatArray,
-    other_angles: FloatArray,
-    tolerance: float,
-    least_trace: float,
+    mine: tuple[FloatArray, FloatArray], theirs: tuple[FloatArray, FloatArray], tolerance: float, least_trace: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Rotations from frames (A, 3, 3) to others (B, 3, 3) that enclose the same angle and turn no further than that.
-
-    Returns:
-        rotations (K, 3, 3) and their traces (K,), one frame after the other.
-    """
+    """Rotations (K, 3, 3), and their traces (K,), from frames (A, 3, 3) to others (B, 3, 3) with angles as large."""
+    (frames, angles), (others, other_angles) = mine, theirs
     # products are summed one after another, the same bits on every machine: matmul leaves the order open
     traces = sum(frames[:, None, i, j] * others[:, i, j] for i in range(3) for j in range(3))
     a, b = np.nonzero((np.abs(angles[:, None] - other_angles) < tolerance) & (traces > least_trace))
@@ -231,7 +205,7 @@ def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArr
         pairs = np.vstack((pairs, pairs[:, ::-1]))
     first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
     cosines = np.einsum("ki,ki->k", first, second)
-    usable = np.abs(cosines) < _PARALLEL
+    usable = np.abs(cosines) < 0.94  # 20 deg: closer ones define no rotation
     first, second, cosines = first[usable], second[usable], cosines[usable]
     across = np.cross(first, second)
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -242,9 +216,7 @@ def _frames(normals: FloatArray, *, ordered: bool) -> tuple[FloatArray, FloatArr
 def _translations(
     rotation: FloatArray, price: float, mine: PlaneArrays, theirs: PlaneArrays, sigma_m: float
 ) -> list[tuple[float, FloatArray]]:
-    """The best motions with a rotation that costs so much, with their scores: from threes of pairs, and what is
-    expected beside them.
-    """
+    """The best motions with a rotation that costs so much, with their scores, from threes of pairs."""
     turned = mine.normals @ rotation.T
     i, j = np.ascontiguousarray(np.nonzero(turned @ theirs.normals.T > np.cos(_ANGLE)))
     if len(i) < 3:
@@ -252,7 +224,7 @@ def _translations(
     weights = np.minimum(mine.weights[i], theirs.weights[j])
     offsets, normals = theirs.distances[j] - mine.distances[i], theirs.normals[j]
     near = np.abs(offsets) < _FAR * sigma_m
-    strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:_PAIRS]
+    strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:26]
     strongest = strongest[near[strongest]]
     middles, reaches = theirs.middles[j] - (mine.middles @ rotation.T)[i], mine.reaches[i] + theirs.reaches[j] + _GAP
     shifts, found = best_shifts(
@@ -285,7 +257,7 @@ def _agreement(motion: FloatArray, mine: PlaneArrays, theirs: PlaneArrays, neede
     most = closeness * np.minimum(mine.weights[:, None], theirs.weights)  # a wall has a pillar's face in common
     total = float(most.max(axis=1).sum())
     for i, plane in enumerate(mine.planes):  # the largest first
-        if total < needed - _ROUNDING:
+        if total < needed - 1e-9:
             break
         shared, order = 0.0, np.argsort(-most[i], kind="stable")
         for j in order.tolist():

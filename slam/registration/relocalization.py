@@ -39,8 +39,6 @@ _SLACK, _LEAST_M, _LEAST_RAD = 1.5, 0.02, 0.004
 _TURNED = [
     gtsam.Pose3(gtsam.Rot3.Expmap(turn), np.zeros(3)).matrix() for turn in 0.25 * np.vstack((np.eye(3), -np.eye(3)))
 ]
-#: Probability that two that are one place are taken for two.
-_SIGNIFICANCE = 1e-3
 
 
 def is_poorly_known(motion: Motion) -> bool:
@@ -90,8 +88,7 @@ class FoundPlace:
 
     def factors(self, key_a: int, key_b: int, robust: str | None) -> list[Any]:
         """What stays in the graph of it once the observations are matched."""
-        beyond = self.beyond
-        if beyond is None:
+        if (beyond := self.beyond) is None:
             return []
         return [relative_pose_factor(key_a, key_b, beyond.a_T_b, beyond.covariance, robust=robust)]  # type: ignore[arg-type]
 
@@ -170,12 +167,9 @@ def planes_about(
 
 def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
     """What the last keyframes saw, in the frame where the body is expected; None: no 3D scans."""
-    first = max(len(keyframes) - _RECENT, 0)
-    parts = []
-    for index in range(first, len(keyframes)):
-        scan = scan_of(keyframes[index])
-        if scan is not None:
-            parts.append((expected_T_world @ backend.pose(pose_symbol(index)), scan))
+    indices = range(max(len(keyframes) - _RECENT, 0), len(keyframes))
+    scans = [(index, scan) for index in indices if (scan := scan_of(keyframes[index])) is not None]
+    parts = [(expected_T_world @ backend.pose(pose_symbol(index)), scan) for index, scan in scans]
     return LocalMap(parts) if parts else None
 
 
@@ -214,15 +208,14 @@ def _rivals(found: Alignment, covariance: FloatArray) -> Rivals:
     """The other places that a scan may lie at; SP covariance (6, 6) of the one that was found."""
     odds, places = [], [found.known_T_seen]
     for one in found.tried[1:]:
-        if not any(are_one(place, one.known_T_seen, covariance, _SIGNIFICANCE) for place in places):
+        if not any(are_one(place, one.known_T_seen, covariance, significance=1e-3) for place in places):
             places.append(one.known_T_seen)
             odds.append(float(np.exp(one.log_likelihood - found.tried[0].log_likelihood)))
     if not odds:
         return NO_RIVALS
     between = gtsam.Pose3(inverse(places[0]) @ places[1])  # the likeliest comes first
-    distance_m, angle_rad = (
-        float(np.linalg.norm(one)) for one in (between.translation(), gtsam.Rot3.Logmap(between.rotation()))
-    )
+    distance_m = float(np.linalg.norm(between.translation()))
+    angle_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(between.rotation())))
     return Rivals(sum(odds) / (1.0 + sum(odds)), distance_m, angle_rad)
 
 

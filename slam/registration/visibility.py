@@ -28,9 +28,6 @@ _DIRECTION_RAD, _ABOUT, _NEARER_SHARE, _NEARER_M = 0.1, 4, 0.08, 0.1
 #: Elements of one surface that lie beside each other are this many widths apart at most.
 NEIGHBOURS_APART = 1.7
 
-#: Angles are computed to this, rad.
-_ROUNDING = 1e-9
-
 
 @dataclass(frozen=True, eq=False)
 class LinesOfSight:
@@ -188,7 +185,7 @@ def _between(rays: FloatArray, about: FloatArray) -> np.ndarray:
     x, y = (np.einsum("kai,ki->ka", about, axis) for axis in (side, np.cross(along, side)))
     bearings = np.sort(np.arctan2(y, x), axis=1)
     gaps = np.diff(bearings, axis=1, append=bearings[:, :1] + 2.0 * np.pi)
-    return gaps.max(axis=1) < np.pi + _ROUNDING
+    return gaps.max(axis=1) < np.pi + 1e-9  # to which angles are computed
 
 
 def tree_of(points: FloatArray) -> KDTree:

@@ -27,8 +27,6 @@ from spplanes._check import FloatArray
 _KEY = gtsam.symbol("c", 0)
 #: Steps before it is first asked for, and by how many times more before it is asked for again.
 _FIRST, _GROWTH = 4, 1.1
-#: Rounds of relinearisation after the steps changed.
-_ROUNDS = 5
 
 
 class FoundCalibration(NamedTuple):
@@ -88,7 +86,7 @@ class CalibrationByGraph:
         before = self._backend.poses(ends)[:, :3, 3]
         indices = self._backend.exchange(factors, [step.factor_index for step in steps], ())
         self._sparsifier.relinked(steps, indices)
-        self._backend.settle(_ROUNDS)
+        self._backend.settle(rounds=5)
         return float(np.linalg.norm(self._backend.poses(ends)[:, :3, 3] - before, axis=1).max())
 
     def _unknown(self) -> SharedUnknown | None:

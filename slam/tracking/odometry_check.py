@@ -56,10 +56,6 @@ from spplanes._check import FloatArray
 #: many times as wide, as a standard deviation. Between planes that hold a motion (1.1 to 1.4 in simulated buildings)
 #: and those that leave a direction open to returns that do not (3 and more) there is little.
 _AS_GOOD = 2.0
-#: Least share of what is seen in any direction, by the root of area, that the last scan has under the motion: most.
-_MOST = 0.5
-#: Of the sum of the weights: less than nothing, where nothing looks in a direction.
-_ROUNDING = 1e-9
 #: What a fit leaves out, whatever covariance it has, SP order.
 _LEFT_OUT = stated(np.zeros((6, 6)))
 #: Share of the steps after one that was spoken against that slip again: wheels do so for a while.
@@ -192,15 +188,9 @@ def _clearly(motion: Motion, prior: MotionPrior, found: Alignment, share: float)
 def laid_by_planes(
     motion: Motion, before: Sequence[Plane], seen: Sequence[Plane]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Where the planes of a scan lie on those of the one before, None: most find no partner.
+    """Where the planes of a scan lie on those of the one before, either in the body's frame; None: most on none.
 
-    Args:
-        motion: where they are expected.
-        before: planes of the scan before, in the frame of the body then.
-        seen: those of this one, in the frame of the body now.
-
-    Returns:
-        The place from where the motion leads, shape (4, 4), and its covariance, GTSAM order, (6, 6).
+    The place as seen from where the motion leads, shape (4, 4), and its covariance, GTSAM order, (6, 6).
     """
     mine, theirs = (PlaneArrays.as_given(planes) for planes in (seen, before))
     pairs = np.array(pairs_under(motion.a_T_b, mine, theirs), dtype=np.int64).reshape(-1, 2)
@@ -222,10 +212,7 @@ def planes_confirm(
         motion: what is known of the motion.
         place, covariance: where `laid_by_planes` has them.
         elements: surface elements of this scan, shape (N, 9).
-        significance: probability that a true motion is not confirmed.
-
-    Returns:
-        Where they have the body; None: they do not confirm the motion.
+        significance: probability that a true motion is not confirmed, which is None.
     """
     (by_planes, fitted), (at_best, _) = _believed(covariance), _by_returns(most_information(elements))
     apart = motion.spatial
@@ -260,7 +247,7 @@ def _most_paired(seen: PlaneArrays, paired: np.ndarray) -> bool:
         np.einsum("k,ki,kj->ij", seen.weights[which], seen.normals[which], seen.normals[which])
         for which in (slice(None), paired)
     )
-    return bool(np.linalg.eigvalsh(these - _MOST * all_of)[0] >= -_ROUNDING * np.trace(all_of))
+    return bool(np.linalg.eigvalsh(these - 0.5 * all_of)[0] >= -1e-9 * np.trace(all_of))  # nothing: to rounding
 
 
 def _agree(motion: Motion, place: FloatArray, covariance: FloatArray, significance: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -31,7 +31,6 @@ class CheckedStep(NamedTuple):
     """Times its stated sigma that `motion` has; see `slam.tracking.odometry_scale`."""
 
 
-@dataclass
 class OdometryRecord:
     """The steps of the odometry that were checked, and how far off those spoken against turned out to be.
 
@@ -39,10 +38,9 @@ class OdometryRecord:
     as those before, they are to be expected as often as they were found where scans did tell.
     """
 
-    significance: float
-    """Probability that a true motion is spoken against."""
-
-    def __post_init__(self) -> None:
+    def __init__(self, significance: float) -> None:
+        """With the probability that a true motion is spoken against."""
+        self.significance = significance
         self.steps: list[CheckedStep] = []
         #: How far off steps spoken against were, and what was expected instead of them; and of the others, with what
         #: was said of them, how far off that would have been.

@@ -128,12 +128,8 @@ class MotionModel:
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
         beyond = [] if step.beyond is None else [step.beyond.factor(pose_symbol(index - 1), key)]
         hints = self._hints(keyframe, step.world_T_body, key)
-        own_factors = [
-            *step.factors,
-            *beyond,
-            *(measurement.factor(key) for measurement in keyframe.pose_measurements),
-            *hints,
-        ]
+        measured = [measurement.factor(key) for measurement in keyframe.pose_measurements]
+        own_factors = [*step.factors, *beyond, *measured, *hints]
         removal = self._sparsifier.plan_removal(index)
         through = [
             self.calibration.corrected(motion).factor(pose_symbol(first), pose_symbol(last))
@@ -227,10 +223,8 @@ class MotionModel:
         self.rivals[index] = place.rivals
         kernel, there = self._config.coasting.robust or self._config.backend.robust, place.motion
         pending = [step, *place.factors(before, key, kernel)]
-        factors = [there.factor(before, key), *floor]
-        return _Step(
-            world_T_before @ there.a_T_b, factors, motion, place, pending, planes_asked=True, measured=measured
-        )
+        factors, world_T_body = [there.factor(before, key), *floor], world_T_before @ there.a_T_b
+        return _Step(world_T_body, factors, motion, place, pending, planes_asked=True, measured=measured)
 
     def _goes_on(self, motion: Motion, prior: MotionPrior, stamp_ns: int) -> gtsam.CustomFactor:
         """A motion that nobody measured, as a factor of the one before it as well: they err alike.
@@ -261,9 +255,8 @@ class MotionModel:
         """
         last, rules = len(self._keyframes) - 1, self._config.coasting
         before_s, ahead_s = self._seconds(keyframe.stamp_ns)
-        guess, prior = coast(None, 0.0, ahead_s, rules), None
-        if last > 0:
-            prior = self._unmeasured(keyframe, last, before_s, ahead_s)
+        guess = coast(None, 0.0, ahead_s, rules)
+        prior = self._unmeasured(keyframe, last, before_s, ahead_s) if last > 0 else None
         unmeasured = guess if prior is None else prior.motion
         if keyframe.motion is None:
             return unmeasured, prior, None
@@ -285,9 +278,8 @@ class MotionModel:
         used = record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
         if laid is None or used is unmeasured:
             return used, prior, None
-        about = planes_about(
-            keyframe, self._landmarks, inverse(self._backend.pose(pose_symbol(last)) @ used.a_T_b), last + 1
-        )
+        expected_T_world = inverse(self._backend.pose(pose_symbol(last)) @ used.a_T_b)
+        about = planes_about(keyframe, self._landmarks, expected_T_world, last + 1)
         return used, prior, place_of(keyframe, used, laid, *about)
 
     def _unmeasured(self, keyframe: Keyframe, last: int, before_s: float, ahead_s: float) -> MotionPrior:

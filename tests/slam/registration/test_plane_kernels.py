@@ -25,7 +25,7 @@ def test_rotations_are_those_of_equal_angles_that_turn_little():
     rng = np.random.default_rng(0)
     frames, others = rotations(rng, 12), rotations(rng, 15)
     angles, other_angles = rng.uniform(0.5, 1.5, 12), rng.uniform(0.5, 1.5, 15)
-    found, traces = near_rotations(frames, angles, others, other_angles, 0.3, 0.4)
+    found, traces = near_rotations((frames, angles), (others, other_angles), 0.3, 0.4)
     wanted = [
         other @ frame.T
         for frame, angle in zip(frames, angles, strict=True)
