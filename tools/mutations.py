@@ -227,7 +227,7 @@ tests/slam/tracking/test_calibration_by_graph.py::test_poses_far_from_what_was_s
 +unknown = None
 
 back end: what Cholesky cannot eliminate is tried by Cholesky again
-slam/backend/estimator.py  tests/slam/backend/test_estimator.py
+slam/backend/elimination.py  tests/slam/backend/test_estimator.py
 -self._isam.getFactorsUnsafe(), self._empty("QR")
 +self._isam.getFactorsUnsafe(), self._empty("CHOLESKY")
 
@@ -426,6 +426,7 @@ slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_cove
 what is asked about stays deep in the tree
 slam/backend/estimator.py  tests/slam/backend/test_estimator.py
 -self._bring_up(keys)
++pass
 
 repair: a start found in the prior map leaves the floor
 slam/runs/repair.py  tests/slam/runs/test_repair.py

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from scipy.special import chdtri
 
 from factors import odometry_factor_2d
-from slam.backend.estimator import INDETERMINATE
+from slam.backend.elimination import INDETERMINATE
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta

@@ -9,7 +9,8 @@ import pytest
 
 from factors import pose_prior, relative_pose_factor
 from slam.backend import estimator
-from slam.backend.estimator import _ALL_EVERY, Backend, BackendError, pose_symbol
+from slam.backend.elimination import _ALL_EVERY
+from slam.backend.estimator import Backend, BackendError, pose_symbol
 from slam.config import SlamConfig
 from slam.geometry.frames import planar_transform
 from tests.slam.short_drives import mapped_beginning
