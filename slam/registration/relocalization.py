@@ -14,13 +14,14 @@ from scipy.special import chdtri
 from factors import relative_pose_factor
 from factors._conventions import POSE3_TO_SP
 from factors.association.observations import Observation, PlaneObservation, planes_of
-from slam.backend.estimator import Backend, pose_symbol
+from slam.backend.estimator import pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.frontend.scan_surfaces import ITS_OWN, ON_PLANE
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import polygonal
 from slam.map.landmarks import Landmark, LandmarkMap
+from slam.map.state import EstimatorState
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_prior import MotionPrior
 from slam.registration.plane_registration import PlaneMatching, pairs_under, register_planes_globally
@@ -94,12 +95,7 @@ class FoundPlace:
 
 
 def found_place(
-    keyframe: Keyframe,
-    motion: Motion,
-    keyframes: Sequence[Keyframe],
-    landmarks: LandmarkMap,
-    backend: Backend,
-    prior: MotionPrior | None = None,
+    keyframe: Keyframe, motion: Motion, state: EstimatorState, prior: MotionPrior | None
 ) -> FoundPlace | None:
     """The place from which most of what a keyframe sees was seen before; None when that cannot be said.
 
@@ -109,16 +105,13 @@ def found_place(
     Args:
         keyframe: what is seen.
         motion: what is known of its motion.
-        keyframes: those before.
-        landmarks: as of the last refresh.
-        backend: the state.
+        state: the keyframes before, the landmarks as of the last refresh, and the graph.
         prior: how likely each motion is, where nobody measured it: places are told apart by that.
     """
-    index, world_T_a = len(keyframes), backend.pose(pose_symbol(len(keyframes) - 1))
-    expected_T_world = inverse(world_T_a @ motion.a_T_b)
-    seen, known = planes_about(keyframe, landmarks, expected_T_world, index)
+    expected_T_world = where_expected(motion, state)
+    seen, known = planes_about(keyframe, state, expected_T_world)
     by_planes = register_planes_globally(seen, known, sigmas_of(motion if prior is None else prior.learnt()))
-    scan, around = scan_of(keyframe), local_map(keyframes, backend, expected_T_world)
+    scan, around = scan_of(keyframe), local_map(state, expected_T_world)
     if scan is not None and around is not None:
         expected = Expected(np.eye(4), information_of(motion), prior)
         found = register_from_hypotheses(scan, around, by_planes, expected, inverse(motion.a_T_b))
@@ -135,11 +128,7 @@ def found_place(
 def place_of(keyframe: Keyframe, motion: Motion, found: Alignment, seen: PlaneArrays, known: PlaneArrays) -> FoundPlace:
     """The place of a 3D scan that was laid on those before, seen from where a motion leads.
 
-    Args:
-        keyframe: what is seen.
-        motion: what is known of its motion.
-        found: where its scan was laid.
-        seen, known: the planes it sees, and those seen of late, as `planes_about` gives them.
+    With the planes it sees, and those seen of late, as `planes_about` gives them.
     """
     information = found.information + information_of(motion)
     there = _stated(motion, found.known_T_seen, np.linalg.inv(information).astype(np.float64))
@@ -155,18 +144,24 @@ def _numbers(keyframe: Keyframe, pairs: Sequence[tuple[int, int]]) -> frozenset[
     return frozenset(planes[i] for i, _ in pairs)
 
 
+def where_expected(motion: Motion, state: EstimatorState) -> FloatArray:
+    """expected_T_world (4, 4) of a body after a motion from the last keyframe."""
+    return inverse(state.backend.pose(pose_symbol(len(state.keyframes) - 1)) @ motion.a_T_b)
+
+
 def planes_about(
-    keyframe: Keyframe, landmarks: LandmarkMap, expected_T_world: FloatArray, index: int
+    keyframe: Keyframe, state: EstimatorState, expected_T_world: FloatArray
 ) -> tuple[PlaneArrays, PlaneArrays]:
-    """Planes that the keyframe of an index sees, and those seen of late in the frame where the body is expected."""
-    seen = planes_of(keyframe.observations)
+    """Planes that the next keyframe sees, and those seen of late in the frame where the body is expected."""
+    seen, landmarks, index = planes_of(keyframe.observations), state.landmarks, len(state.keyframes)
     recent = [landmark for landmark in landmarks if landmark.was_seen_between(index - _RECENT, index)]
     known = [_placed(one, landmarks).transform(expected_T_world) for one in recent]
     return PlaneArrays.of(seen), PlaneArrays.of(known)
 
 
-def local_map(keyframes: Sequence[Keyframe], backend: Backend, expected_T_world: FloatArray) -> LocalMap | None:
+def local_map(state: EstimatorState, expected_T_world: FloatArray) -> LocalMap | None:
     """What the last keyframes saw, in the frame where the body is expected; None: no 3D scans."""
+    keyframes, backend = state.keyframes, state.backend
     indices = range(max(len(keyframes) - _RECENT, 0), len(keyframes))
     scans = [(index, scan) for index in indices if (scan := scan_of(keyframes[index])) is not None]
     parts = [(expected_T_world @ backend.pose(pose_symbol(index)), scan) for index, scan in scans]

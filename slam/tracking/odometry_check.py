@@ -17,12 +17,11 @@ from scipy.special import chdtri
 
 from factors._conventions import POSE3_TO_SP
 from factors.association.observations import planes_of
-from slam.backend.estimator import Backend, pose_symbol
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.laser_odometry.stalled_wheels import STANDING
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import are_apart, inverse
-from slam.map.landmarks import LandmarkMap
+from slam.map.state import EstimatorState
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_from_planes import fit_pairs
 from slam.registration.motion_prior import MotionPrior
@@ -38,6 +37,7 @@ from slam.registration.relocalization import (
     scan_of,
     sigmas_of,
     stated,
+    where_expected,
 )
 from slam.registration.surface_registration import (
     WEAK_M,
@@ -92,7 +92,7 @@ def check(
     keyframe: Keyframe,
     motion: Motion,
     otherwise: Motion,
-    state: tuple[Sequence[Keyframe], LandmarkMap, Backend],
+    state: EstimatorState,
     *,
     significance: float,
     doubted: bool,
@@ -122,17 +122,17 @@ def check(
         What it says; and where it was laid, seen from where the motion leads, if it does not speak against that, which
         is yet further off than it states: what the scan says counts beside it then. None elsewhere.
     """
-    scan, (keyframes, landmarks, backend) = scan_of(keyframe), state
+    scan = scan_of(keyframe)
     if is_poorly_known(motion) or scan is None:
         return Check(False), None
-    before, seen = (planes_of(one.observations) for one in (keyframes[-1], keyframe))
+    before, seen = (planes_of(one.observations) for one in (state.keyframes[-1], keyframe))
     if (fit := laid_by_planes(motion, before, seen)) is not None:
         by_planes = None if doubted else planes_confirm(motion, *fit, scan.elements, significance)
         by_planes = by_planes or _moved_while_standing(motion, *fit, significance)
         if by_planes is not None:
             return by_planes, None
-    expected_T_world = inverse(backend.pose(pose_symbol(len(keyframes) - 1)) @ motion.a_T_b)
-    known = local_map(keyframes, backend, expected_T_world)
+    expected_T_world = where_expected(motion, state)
+    known = local_map(state, expected_T_world)
     if known is None:
         return Check(False), None
 
@@ -163,8 +163,7 @@ def check(
         is_near = _agree(motion, found.known_T_seen, _LEFT_OUT, significance)
         if (found if is_near else held()).score >= 0.0:
             return Check(False, *rests), laid
-    seen_and_known = planes_about(keyframe, landmarks, expected_T_world, len(keyframes))
-    matched = register_planes_globally(*seen_and_known, sigmas_of(otherwise))
+    matched = register_planes_globally(*planes_about(keyframe, state, expected_T_world), sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
     enough = _clearly(motion, prior, rival, _AGAIN if doubted else SLIPS)

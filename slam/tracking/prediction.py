@@ -31,6 +31,7 @@ from slam.registration.relocalization import (
     planes_about,
     scan_of,
     sigmas_of,
+    where_expected,
 )
 from slam.registration.submaps import anchored
 from slam.tracking.calibration_by_graph import CalibrationByGraph
@@ -103,7 +104,7 @@ class MotionModel:
     """
 
     def __init__(self, state: EstimatorState, start: StartPose | None) -> None:
-        self._keyframes, self._landmarks, self._backend = state.keyframes, state.landmarks, state.backend
+        self._state, self._keyframes, self._backend = state, state.keyframes, state.backend
         self._sparsifier, self._config, self._known_start = state.sparsifier, state.config, start
         self.calibration = WheelCalibration()
         #: Keyframes with a 3D scan that fits nowhere, though little was known of the motion to them.
@@ -198,13 +199,13 @@ class MotionModel:
         """Where the motion to a keyframe leads, and its factors."""
         before, key = pose_symbol(index - 1), pose_symbol(index)
         world_T_before = self._backend.pose(before)
-        (motion, prior, place), parts = self._motion_to(keyframe), (self._keyframes, self._landmarks, self._backend)
+        motion, prior, place = self._motion_to(keyframe)
         beyond = information_beyond_lines(motion, keyframe.observations) if motion.is_by_returns else None
         wide = is_poorly_known(motion.scan_matched or motion)
         asked = wide or keyframe.motion is None  # what went on as before was not measured, however well it is known
         assumed = prior if prior is not None and motion is prior.motion else None
         if asked:
-            place = found_place(keyframe, motion, *parts, assumed)
+            place = found_place(keyframe, motion, self._state, assumed)
         if wide and place is None and keyframe.surfaces is not None:
             self.unplaced.append(index)
         found = motion if place is None else place.motion
@@ -261,13 +262,13 @@ class MotionModel:
         if keyframe.motion is None:
             return unmeasured, prior, None
         record = self.odometry_record
-        stated, state = self.calibration.predict(keyframe.motion), (self._keyframes, self._landmarks, self._backend)
+        stated = self.calibration.predict(keyframe.motion)
         motion = scaled(stated, self.odometry_scale.factor)
         said, laid = check(
             keyframe,
             motion,
             replace(guess, a_T_b=unmeasured.a_T_b),
-            state,
+            self._state,
             significance=record.significance,
             doubted=record.doubted,
             prior=prior or self.velocity_prior.prior(guess, np.diag(guess.covariance), np.zeros(6)),
@@ -278,8 +279,7 @@ class MotionModel:
         used = record.take(last + 1, motion, unmeasured, guess, said, self.odometry_scale.factor)
         if laid is None or used is unmeasured:
             return used, prior, None
-        expected_T_world = inverse(self._backend.pose(pose_symbol(last)) @ used.a_T_b)
-        about = planes_about(keyframe, self._landmarks, expected_T_world, last + 1)
+        about = planes_about(keyframe, self._state, where_expected(used, self._state))
         return used, prior, place_of(keyframe, used, laid, *about)
 
     def _unmeasured(self, keyframe: Keyframe, last: int, before_s: float, ahead_s: float) -> MotionPrior:

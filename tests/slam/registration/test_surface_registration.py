@@ -37,14 +37,18 @@ def scan(elements: np.ndarray, viewpoint: tuple[float, float, float] = (0.0, 0.0
     return Scan(with_widths(elements), np.array(viewpoint))
 
 
+def surfaces_of(seed: int, *poses: np.ndarray) -> list[np.ndarray]:
+    """The surface elements that a camera sees of the scene from poses, one after another."""
+    rng = np.random.default_rng(seed)
+    return [surfaces for pose in poses if (surfaces := measured(pose, rng).surfaces) is not None]
+
+
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
     return gtsam.Pose3.Logmap(gtsam.Pose3(inverse(found) @ true))
 
 
 def test_edges_hold_the_direction_that_the_planes_leave_open() -> None:
-    rng = np.random.default_rng(0)
-    known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
-    assert known is not None and seen is not None
+    known, seen = surfaces_of(0, FIRST, SECOND)
     found = align(scan(seen), LocalMap([(np.eye(4), scan(known))]), [np.eye(4)])
     assert np.linalg.norm(off(found.known_T_seen, FIRST_T_SECOND)[3:]) < 0.01
     planes = [one[one[:, 7] == ON_PLANE] for one in (known, seen)]
@@ -57,9 +61,7 @@ def test_edges_hold_the_direction_that_the_planes_leave_open() -> None:
 
 
 def test_a_wrong_place_scores_less_than_the_right_one() -> None:
-    rng = np.random.default_rng(1)
-    known, seen = measured(FIRST, rng).surfaces, measured(SECOND, rng).surfaces
-    assert known is not None and seen is not None
+    known, seen = surfaces_of(1, FIRST, SECOND)
     there = LocalMap([(np.eye(4), scan(known))])
     right = align(scan(seen), there, [FIRST_T_SECOND])
     for aside in (1.25, 1.5):  # from nearer a descent finds back
@@ -228,17 +230,10 @@ def test_what_any_keyframe_saw_through_speaks_against_a_place() -> None:
 
 
 def test_a_camera_that_turned_by_more_than_a_descent_finds_back_from_is_found() -> None:
-    rng = np.random.default_rng(3)
-    known, turned = (
-        measured(FIRST, rng).surfaces,
-        gtsam.Pose3(gtsam.Rot3.Yaw(0.35), np.array([0.02, 0.03, 0.0])).matrix(),
-    )
-    seen = measured(FIRST @ turned, rng).surfaces
-    assert known is not None and seen is not None
-    there, expected = (
-        LocalMap([(np.eye(4), scan(known))]),
-        Expected(np.eye(4), np.diag(np.repeat([0.3, 0.2], 3) ** -2.0)),
-    )
+    turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.35), np.array([0.02, 0.03, 0.0])).matrix()
+    known, seen = surfaces_of(3, FIRST, FIRST @ turned)
+    there = LocalMap([(np.eye(4), scan(known))])
+    expected = Expected(np.eye(4), np.diag(np.repeat([0.3, 0.2], 3) ** -2.0))
     found = register_from_hypotheses(scan(seen), there, None, expected, np.eye(4))
     assert np.linalg.norm(off(found.known_T_seen, turned)[3:]) < 0.01
     assert np.linalg.norm(off(align(scan(seen), there, [np.eye(4)], expected).known_T_seen, turned)[3:]) > 0.1
