@@ -103,8 +103,7 @@ def found_place(
     a 3D scan. Its motion is used for matching observations and for nothing later: it holds what they will say.
 
     Args:
-        keyframe: what is seen.
-        motion: what is known of its motion.
+        keyframe, motion: what is seen, and what is known of its motion.
         state: the keyframes before, the landmarks as of the last refresh, and the graph.
         prior: how likely each motion is, where nobody measured it: places are told apart by that.
     """

@@ -75,13 +75,7 @@ class Check(NamedTuple):
     """Covariance of that as the fit has it, without what it leaves out, shape (6, 6); None: as for it."""
 
     def tells(self, motion: Motion, errors: FloatArray, significance: float) -> np.ndarray:
-        """Which errors of a motion this scan would speak against, shape (K,).
-
-        Args:
-            motion: what was measured.
-            errors: SP order, along the axes of its end, shape (K, 6).
-            significance: probability that a true motion is spoken against.
-        """
+        """Which errors (K, 6) of a motion, SP order along the axes of its end, this scan would speak against, (K,)."""
         if self.place is None or not len(errors):
             return np.zeros(len(errors), dtype=bool)
         chi2 = np.einsum("ki,ki->k", errors, np.linalg.solve(self.place + motion.spatial, errors.T).T)
@@ -110,8 +104,7 @@ def check(
     that slip or stand still do so for a while. While wheels stand, the planes of two scans are where they were.
 
     Args:
-        keyframe: what is seen.
-        motion: what is known of its motion.
+        keyframe, motion: what is seen, and what is known of its motion.
         otherwise: the motion had nobody measured it, as wide as a body may go of which nothing is known.
         state: the keyframes before, the landmarks as of the last refresh, and the graph.
         significance: probability that a true motion is spoken against.
