@@ -173,7 +173,8 @@ def _rotations(
     mine: PlaneArrays, theirs: PlaneArrays, sigma_rad: float, *, upright: bool
 ) -> list[tuple[float, FloatArray]]:
     """What rotations cost, with those under which most directions agree, best first, none twice."""
-    frames, others = _frames(mine.normals[:9], ordered=False), _frames(theirs.normals, ordered=True)
+    frames = _frames(mine.normals[:9], ordered=False)  # the largest planes make hypotheses
+    others = _frames(theirs.normals, ordered=True)
     if not len(frames[0]) or not len(others[0]):
         return []
     furthest = min(max(_FAR * sigma_rad, 0.1), np.pi)
@@ -182,7 +183,7 @@ def _rotations(
     agree = directions_found(rotations, mine.normals, theirs.normals, mine.weights, np.cos(_ANGLE))
     prices = _tail((turns / sigma_rad) ** 2) + (_tilted(rotations[:, 2, 2]) if upright else 0.0)
     best_first = np.argsort(prices - agree, kind="stable")
-    chosen = best_first[unlike(rotations[best_first], 1.0 + 2.0 * np.cos(_ANGLE), 40)]
+    chosen = best_first[unlike(rotations[best_first], 1.0 + 2.0 * np.cos(_ANGLE), 40)]  # so many are looked at closer
     return list(zip(prices[chosen].tolist(), rotations[chosen], strict=True))
 
 
@@ -224,7 +225,7 @@ def _translations(
     weights = np.minimum(mine.weights[i], theirs.weights[j])
     offsets, normals = theirs.distances[j] - mine.distances[i], theirs.normals[j]
     near = np.abs(offsets) < _FAR * sigma_m
-    strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:26]
+    strongest = np.argsort(-np.where(near, weights, -1.0), kind="stable")[:26]  # 2600 threes of them at most
     strongest = strongest[near[strongest]]
     middles, reaches = theirs.middles[j] - (mine.middles @ rotation.T)[i], mine.reaches[i] + theirs.reaches[j] + _GAP
     shifts, found = best_shifts(

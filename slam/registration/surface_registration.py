@@ -80,7 +80,8 @@ class Alignment:
     residuals: Residuals
     """Of all elements that found a partner, at the motion above."""
     score: float
-    """Share of what is seen, by weight, that is where a surface is known, close by, less what contradicts."""
+    """Share of what is seen, by weight, that is where a surface is known, close by, less what the newest keyframe saw
+    through."""
     share: float
     """Share of the elements that found a partner."""
     weight: float
