@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 #: Simulated worlds (`slam.simulation`).
 WORLDS = ("corridor", "office", "room", "hall")
@@ -25,6 +27,15 @@ class MissingPackageError(LogError, ImportError):  # type: ignore[misc]  # both 
 
     def __init__(self, path: Path | str, package: str, extra: str, *, doing: str = "reading") -> None:
         super().__init__(path, f"{doing} this needs {package}: pip install 'spplanes[{extra}]'")
+
+
+def optional(name: str, and_so: str = "") -> Any:
+    """A package of an extra of its own name, where no file is read or written; ImportError: what to install."""
+    try:
+        return import_module(name)
+    except (ImportError, OSError) as error:
+        hint = f"install it with `pip install spplanes[{name}]`{and_so}"
+        raise ImportError(f"{name} cannot be imported; {hint}: {error}") from error
 
 
 def check_world_given(world: str) -> None:

@@ -495,8 +495,8 @@ slam/tracking/prediction.py  tests/slam/tracking/test_constant_velocity.py
 
 registration: only the newest keyframe speaks against a place
 slam/registration/surface_registration.py  tests/slam/registration/test_surface_registration.py
--told[name] -= _CONTRADICTION * known.contradicted(distinct[name], fit.alone, scan)
-+told[name] -= _CONTRADICTION * known.contradicted(distinct[name], fit.alone, scan, latest=1)
+-fit.close - _CONTRADICTION * float(against[name].mean())
++fit.close - _CONTRADICTION * float(against[name][-1])
 
 registration: a scan is laid from what is expected and from where nothing moved alone
 slam/registration/relocalization.py  tests/slam/registration/test_surface_registration.py

@@ -107,14 +107,19 @@ class LocalMap:
         """Of those on surfaces and of those on edges; None: there are none."""
         self._parts = parts
 
-    def contradicted(self, known_T_seen: FloatArray, alone: FloatArray, scan: Scan, latest: int | None = None) -> float:
+    def contradicted(
+        self, known_T_seen: FloatArray, alone: FloatArray, scan: Scan, latest: int | None = None
+    ) -> FloatArray:
         """How many things are seen through, as a share: what stands before what a keyframe saw, or it before the scan.
 
         Args:
             known_T_seen: the motion, shape (4, 4).
             alone: elements of the scan that have no partner, shape (M, 9).
             scan: all of it.
-            latest: so many keyframes are asked, the newest; None: all. What they say is the mean.
+            latest: so many keyframes are asked, the newest; None: all.
+
+        Returns:
+            What each of them says, in order, shape (K,).
         """
         shares = []
         for pose, seen in self._parts[-latest if latest else None :]:
@@ -122,7 +127,7 @@ class LocalMap:
             back = _seen_through(moved(alone, there_T_seen), seen)
             ahead = _seen_through(moved(seen.elements, inverse(there_T_seen)), scan)
             shares.append(max(back / float(scan.weights.sum()), ahead / float(seen.weights.sum())))
-        return float(np.mean(shares))
+        return np.array(shares)
 
     def between(self, known_T_seen: FloatArray, elements: FloatArray) -> FloatArray:
         """How far elements (N, 9) without a partner are from what some keyframe saw about them, (N,), m."""
@@ -231,10 +236,9 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     rests = _rests(some, starts, expected)
     distinct = {id(end): end for ends in rests for end in ends}
     fits = {name: _fit(some, shares, end) for name, end in distinct.items()}
-    told = {name: fit.close for name, fit in fits.items()}
-    if len(fits) > 1:
-        for name, fit in fits.items():
-            told[name] -= _CONTRADICTION * known.contradicted(distinct[name], fit.alone, scan)
+    latest = None if len(fits) > 1 else 1  # all keyframes tell places apart; the score is by the newest
+    against = {name: known.contradicted(distinct[name], fit.alone, scan, latest) for name, fit in fits.items()}
+    told = {name: fit.close - _CONTRADICTION * float(against[name].mean()) for name, fit in fits.items()}
     weight, most = float(weights.sum()), max(told.values())
     judged = {
         name: Tried(end, _log_likelihood(most - told[name], weight, end, expected)) for name, end in distinct.items()
@@ -242,8 +246,7 @@ def align(scan: Scan, known: LocalMap, candidates: Sequence[FloatArray], expecte
     rough = [max((judged[id(end)] for end in ends), key=lambda one: one.log_likelihood) for ends in rests]
     rough.sort(key=lambda one: -one.log_likelihood)  # stable: of equals the first
     motion, every = rough[0].known_T_seen, some
-    fit = fits[id(motion)]
-    score = fit.close - known.contradicted(motion, fit.alone, scan, latest=1)
+    fit, score = fits[id(motion)], fits[id(motion)].close - float(against[id(motion)][-1])
     if few.step > 1:
         every = Correspondences(scan.elements, known)
         for reach in _REACHES[-2:]:

@@ -6,7 +6,6 @@ import json
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -39,15 +38,6 @@ class Mesh:
     """RGB of every corner, shape (V, 3), uint8."""
     normals: FloatArray
     """Unit normal of the plane of every corner, shape (V, 3)."""
-
-
-def optional(name: str, and_so: str = "") -> Any:
-    """A package of an extra of its own name; ImportError: what to install."""
-    try:
-        return import_module(name)
-    except (ImportError, OSError) as error:
-        hint = f"install it with `pip install spplanes[{name}]`{and_so}"
-        raise ImportError(f"{name} cannot be imported; {hint}: {error}") from error
 
 
 def mesh_of(planes: Sequence[MapPlane]) -> Mesh:

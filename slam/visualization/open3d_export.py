@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 from shapely import Polygon, box
 
+from slam.errors import optional
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
-from slam.visualization.mesh import Mesh, chains_of, colour_of, mesh_of, optional
+from slam.visualization.mesh import Mesh, chains_of, colour_of, mesh_of
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_positive, as_shape
 

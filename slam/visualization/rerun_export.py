@@ -10,9 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
+from slam.errors import optional
 from slam.map.map_planes import MapPlane
 from slam.runs.stored_run import StoredRun
-from slam.visualization.mesh import chains_of, colour_of, mesh_of, optional
+from slam.visualization.mesh import chains_of, colour_of, mesh_of
 from slam.visualization.pictures import CONFIDENCE, position_covariances
 
 #: Timelines: number of the keyframe, and its time in the log.

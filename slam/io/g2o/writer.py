@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ import gtsam_unstable
 import numpy as np
 
 from factors import landmark_anchors
+from factors._check import held
 from factors._custom import Recipe, VelocityRecipe, describe
 from slam.io.g2o._tangents import SENSORS, measured_plane, plane_jacobian, pose_jacobian, sensor_for
 from slam.io.g2o.reader import G2oGraph
@@ -107,8 +108,8 @@ class _Writer:
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.values = values
         self.left_out: Counter[str] = Counter()
-        poses = [key for key in sorted(values.keys()) if _holds(values.atPose3, key)]
-        planes = [key for key in sorted(values.keys()) if _holds(values.atOrientedPlane3, key)]
+        poses = [key for key in sorted(values.keys()) if held(values.atPose3, key) is not None]
+        planes = [key for key in sorted(values.keys()) if held(values.atOrientedPlane3, key) is not None]
         if others := values.size() - len(poses) - len(planes):
             self.left_out["variables that are neither Pose3 nor OrientedPlane3"] = others
         self.poses = {key: index for index, key in enumerate(poses)}
@@ -201,14 +202,6 @@ class _Writer:
     def _in_world(self, plane_key: int) -> gtsam.OrientedPlane3:
         landmark, anchor = self.values.atOrientedPlane3(plane_key), self._anchors.get(plane_key)
         return landmark if anchor is None else landmark.transform(self.values.atPose3(anchor).inverse())
-
-
-def _holds(read: Callable[[int], object], key: int) -> bool:
-    try:
-        read(key)
-    except RuntimeError:
-        return False
-    return True
 
 
 def _pose(pose: gtsam.Pose3) -> str:
