@@ -163,7 +163,7 @@ class ScanView:
 
     def confirms(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) lie on a surface that was seen, to the tolerance, shape (N,)."""
-        return (self._scan.apart(places[:, :3]) < TOLERANCE_M) | (self._scan.off_surfaces(places) < TOLERANCE_M)
+        return ~self._scan.apart(places[:, :3], TOLERANCE_M) | (self._scan.off_surfaces(places) < TOLERANCE_M)
 
     def sees_through(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) stand before all that was seen about their direction by more than that, (N,)."""
@@ -184,9 +184,10 @@ def _movable(elements: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.
     points = elements[:, :3]
     if len(points) < 2:
         return np.ones(len(points), dtype=bool)
-    apart, near = KDTree(points).query(points, k=min(9, len(points)))  # itself, and eight about it
     limit = np.maximum(_APART_SHARE * np.linalg.norm(points - viewpoint, axis=1), NEIGHBOURS_APART * elements[:, WIDTH])
     limit = np.maximum(LEAST_GAP_M, limit)
+    about = min(9, len(points))  # itself, and eight about it
+    apart, near = KDTree(points).query(points, k=about, distance_upper_bound=float(limit.max()))
     mine, which = np.nonzero(apart < limit[:, None])
     links = coo_array((np.ones(len(mine)), (mine, np.asarray(near)[mine, which])), shape=(len(points),) * 2)
     count, thing = connected_components(links, directed=False)

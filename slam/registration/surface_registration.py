@@ -178,7 +178,7 @@ def most_information(elements: FloatArray) -> FloatArray:
 
 def _seen_through(elements: FloatArray, scan: Scan) -> int:
     """How many things elements (N, 9) in a scan's frame are of that are none that it saw, but before what it saw."""
-    apart = elements[scan.apart(elements[:, :3]) > _REACHES[-1] * elements[:, WIDTH], :3]
+    apart = elements[scan.apart(elements[:, :3], _REACHES[-1] * elements[:, WIDTH]), :3]
     return _number_of_things(apart[scan.through(apart)])
 
 

@@ -125,9 +125,10 @@ class Scan:
     def _places(self) -> KDTree:
         return tree_of(self.elements[:, :3])
 
-    def apart(self, points: FloatArray) -> FloatArray:
-        """Distances of points (N, 3) from the nearest that was seen, (N,), m."""
-        return np.asarray(self._places.query(points)[0], dtype=np.float64)
+    def apart(self, points: FloatArray, reach: FloatArray | float) -> np.ndarray:
+        """Which of points (N, 3) have nothing that was seen within reach of them, (N,) or of all, m."""
+        far = self._places.query(points, distance_upper_bound=np.max(reach, initial=0.0))[0]
+        return np.asarray(far > reach)
 
     def through(
         self, points: FloatArray, nearer_m: float = _NEARER_M, nearer_share: float = _NEARER_SHARE
