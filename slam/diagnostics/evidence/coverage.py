@@ -17,6 +17,7 @@ from slam.diagnostics.views import TOLERANCE_M
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse
+from slam.mapping.map_update import may_start
 from slam.mapping.observability import name_of, sigma_along
 from slam.planeslam import PlaneSlam
 from slam.registration.relocalization import sigmas_of
@@ -184,7 +185,8 @@ def unmatched_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     """Keyframes of whose surfaces, by area or by length, more than `NOVEL_SHARE` is of no plane that is seen twice.
 
     What is new is seen again from the next keyframe, or is clutter. In a sound run at most every second keyframe has
-    more of it than that: a sign test.
+    more of it than that: a sign test. What may start no landmark could not be seen again, and says nothing: over a
+    desk that is most of what a camera sees.
     """
     known = _matched(run) | {
         (sighting.keyframe, sighting.observation)
@@ -194,10 +196,12 @@ def unmatched_evidence(run: PlaneSlam) -> Iterator[Evidence]:
     }
     shares: dict[int, float] = {}
     for index in range(1, len(run.keyframes) - 1):  # the first has nothing to match, the last is seen by none again
-        sizes = np.array([_extent(observation) for observation in run.keyframes[index].observations])
-        if sizes.sum():
-            lost = [(index, decision.observation) not in known for decision in run.decisions[index]]
-            shares[index] = float(sizes[lost].sum() / sizes.sum())
+        seen = run.keyframes[index].observations
+        matched = np.array([(index, k) in known for k in range(len(seen))], dtype=bool)
+        telling = [again or may_start(one, run.config.landmarks) for again, one in zip(matched, seen, strict=True)]
+        sizes = np.array([_extent(one) for one in seen]) * telling
+        if sizes.any():
+            shares[index] = float(sizes[~matched].sum() / sizes.sum())
     frames = tuple(index for index, share in shares.items() if share > NOVEL_SHARE)
     if not frames:
         return

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from factors.association.observations import PlaneObservation
 from slam import PlaneSlam, SlamConfig
 from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.evidence.surfaces import free_space_evidence
@@ -17,7 +18,8 @@ from slam.sensors.log import Log, OdometryReading
 from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start, map_covariance
 from slam.simulation import simulate_mission
-from tests.slam.scenes import drive, run_of
+from spplanes import Plane
+from tests.slam.scenes import drive, measured, room_planes, run_of
 
 
 @cache
@@ -76,6 +78,19 @@ def test_what_matches_nothing_is_no_sound_run():
     verdict = assess_run(run_slam(log, rig, SlamConfig(), slam=PlaneSlam(associate=nothing)).slam, rig)
     assert verdict.verdict != "sound"
     assert any(one.kind == "unmatched" and "match nothing" in one.sentence for one in verdict.evidence)
+
+
+@pytest.mark.parametrize(("n_points", "speaks"), [(20, False), (500, True)])
+def test_what_may_start_no_landmark_says_nothing_where_it_matches_nothing(n_points: int, speaks: bool):
+    """At every keyframe 40 m^2 of planes at random beside the room's 180: of few points they are clutter."""
+    rng, frames = np.random.default_rng(5), []
+    for frame in drive(0).keyframes:
+        normals, outline = rng.standard_normal((10, 3)), room_planes()[2].outline
+        things = [Plane.from_hesse(n / np.linalg.norm(n), rng.uniform(0.5, 3.0), np.zeros((4, 4))) for n in normals]
+        clutter = [PlaneObservation(measured(replace(one, n_points=n_points, outline=outline), rng)) for one in things]
+        frames.append(replace(frame, observations=[*frame.observations, *clutter]))
+    kinds = [one.kind for one in assess_run(run_of(frames), hall()[1]).evidence]
+    assert ("unmatched" in kinds) == speaks
 
 
 def test_a_3d_sensor_backwards_is_broken_and_named():
