@@ -136,7 +136,7 @@ def add_furniture(
             continue
         free, height = free.difference(footprint.buffer(0.05)), rng.uniform(0.4, 1.9)
         rise = rng.uniform(-0.3, 0.3) if oblique and rng.random() < 0.5 else 0.0
-        _add_box(builder, footprint, height, height + rise * min(1.0, height))
+        add_box(builder, footprint, height, height + rise * min(1.0, height))
     for _ in range(poles):
         spot = _spot(free, rng)
         if spot is not None:
@@ -166,12 +166,17 @@ def _placed(free, rng: Generator, *, oblique: bool) -> Polygon | None:
     return None
 
 
-def _add_box(builder: PolygonBuilder, footprint: Polygon, front: float, back: float) -> None:
-    """Four sides and a top that rises from the first edge of the footprint to the opposite one."""
+def add_box(builder: PolygonBuilder, footprint: Polygon, front: float, back: float, *, foot: float = 0.0) -> None:
+    """Four sides and a top that rises from the first edge of the footprint to the opposite one; `foot` is its height.
+
+    Of one that hangs the underside too.
+    """
     corners = np.array(orient(footprint).exterior.coords)[:4]
     top, middle = _at(corners, np.array([front, front, back, back])), corners.mean(axis=0)
     builder.add_polygon([top], toward=(*middle, 5.0))
     for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
-        side = np.array([(*corners[a], 0.0), (*corners[b], 0.0), top[b], top[a]])
+        side = np.array([(*corners[a], foot), (*corners[b], foot), top[b], top[a]])
         outside = corners[[a, b]].mean(axis=0) * 2.0 - middle
-        builder.add_polygon([side], toward=(*outside, 0.3))
+        builder.add_polygon([side], toward=(*outside, foot + 0.3))
+    if foot > 0.0:
+        builder.add_polygon([_at(corners, np.full(4, foot))], toward=(*middle, 0.0))
