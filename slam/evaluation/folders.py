@@ -33,8 +33,7 @@ from slam.simulation.record import Truth
 from spplanes._check import FloatArray
 
 #: Names of the rows that say how many poses were compared, and how many there are.
-COMPARED = "poses compared"
-_COUNTS = (COMPARED, "poses of the run", "poses of the truth")
+_COUNTS = ("poses compared", "poses of the run", "poses of the truth")
 #: Before the names of the rows of the odometry, and the row in which both are compared in a sentence.
 _ALONE, _ERROR = "odometry alone: ", "ATE translation rmse"
 #: Numbers that an alignment in space takes, and the relative standard deviation of a root mean square beyond which a

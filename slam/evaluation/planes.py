@@ -49,46 +49,37 @@ def match_planes(estimated: Sequence[Plane], true: Sequence[Plane]) -> list[Plan
     Both are in the same frame. Candidates are near in angle and distance, face the same side and overlap; of those the
     nearest wins, measured over the estimated outline (a locker's front is not the wall behind it).
     """
-    return [match for index, plane in enumerate(estimated) if (match := _match_one(index, plane, true)) is not None]
-
-
-def _match_one(index: int, plane: Plane, true: Sequence[Plane]) -> PlaneMatch | None:
-    cosine = np.cos(ANGLE_GATE_RAD)
-    near = [
-        (_misfit(plane, truth), number)
-        for number, truth in enumerate(true)
-        if plane.normal @ truth.normal >= cosine and abs(truth.distance(plane.centre)) <= DISTANCE_GATE_M
-    ]
-    best = next((number for _, number in sorted(near) if _overlap(plane, true[number]) >= OVERLAP_GATE), None)
-    if best is None:
-        return None
-    truth = true[best]
-    angle = float(np.arctan2(np.linalg.norm(np.cross(plane.normal, truth.normal)), plane.normal @ truth.normal))
-    return PlaneMatch(index, best, angle, float(truth.distance(plane.centre)), plane.mahalanobis(truth))
+    cosine, matches = np.cos(ANGLE_GATE_RAD), []
+    for index, plane in enumerate(estimated):
+        near = [
+            (_misfit(plane, truth), number)
+            for number, truth in enumerate(true)
+            if plane.normal @ truth.normal >= cosine and abs(truth.distance(plane.centre)) <= DISTANCE_GATE_M
+        ]
+        best = next((number for _, number in sorted(near) if _overlap(plane, true[number]) >= OVERLAP_GATE), None)
+        if best is not None:
+            truth = true[best]
+            angle = np.arctan2(np.linalg.norm(np.cross(plane.normal, truth.normal)), plane.normal @ truth.normal)
+            off = float(truth.distance(plane.centre))
+            matches.append(PlaneMatch(index, best, float(angle), off, plane.mahalanobis(truth)))
+    return matches
 
 
 def _misfit(plane: Plane, truth: Plane) -> float:
     """Root mean square distance of the estimated outline's corners, or of its centre, from the true plane, m."""
     if plane.outline is None:
         return abs(float(truth.distance(plane.centre)))
-    corners = np.array(plane.outline.exterior.coords)[:-1]
-    places = plane.centre + corners @ plane.frame[:3, :2].T
-    return float(np.sqrt(np.mean(truth.distance(places) ** 2)))
+    corners = lift(shapely.get_coordinates(plane.outline.exterior)[:-1], plane.frame)
+    return float(np.sqrt(np.mean(truth.distance(corners) ** 2)))
 
 
 def _overlap(plane: Plane, truth: Plane) -> float:
     """Area common to both outlines as a share of the smaller one; 1 where an outline is missing."""
     if plane.outline is None or truth.outline is None:
         return 1.0
-    mine = outline_in(plane, truth)
+    mine = valid(flatten(plane.outline, inverse(truth.frame) @ plane.frame))
     smaller = min(mine.area, truth.outline.area)
     return mine.intersection(truth.outline).area / smaller if smaller > 0.0 else 0.0
-
-
-def outline_in(plane: Plane, other: Plane) -> BaseGeometry:
-    """Outline of a plane projected into the plane coordinates of another."""
-    assert plane.outline is not None
-    return valid(flatten(plane.outline, inverse(other.frame) @ plane.frame))
 
 
 def plane_metrics(

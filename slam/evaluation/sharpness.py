@@ -62,58 +62,37 @@ def compare_sharpness(clouds: Sequence[FloatArray], poses: FloatArray, reference
         raise ValueError(f"poses: expected {len(clouds)}, one a cloud, got {len(poses)} and {len(reference)}")
     used = [flat[np.isfinite(flat).all(axis=1)] for flat in (np.reshape(cloud, (-1, 3)) for cloud in clouds)]
     scan = np.repeat(np.arange(len(used)), [len(cloud) for cloud in used])
-    mine, theirs = _placed(used, poses), _placed(used, reference)
+    mine, theirs = (np.concatenate(list(map(lift, used, where))) for where in (poses, reference))
     cell = np.unique(np.floor(mine / _CELL_M).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
     pairs = np.unique(np.stack((cell, scan), axis=1), axis=0)
     shared = (np.bincount(pairs[:, 0]) >= _MIN_SCANS) & (np.bincount(cell) >= _MIN_POINTS)
     mine, theirs, cell = mine[shared[cell]], theirs[shared[cell]], cell[shared[cell]]
     cell = np.unique(cell, return_inverse=True)[1].ravel()
-    here, there = _Pieces.of(mine, cell), _Pieces.of(theirs, cell)
-    both = here.flat & there.flat & ~here.are_cut
+    (here, flat, are_cut), (there, flat_there, _) = _pieces(mine, cell), _pieces(theirs, cell)
+    both = flat & flat_there & ~are_cut
     if not both.any():
         return Sharpness(np.nan, np.nan, 0)
-    ours, others = np.median(here.distances[both[cell]]), np.median(there.distances[both[cell]])
-    return Sharpness(float(ours), float(others), int(both.sum()))
+    ours, others = (float(np.median(distances[both[cell]])) for distances in (here, there))
+    return Sharpness(ours, others, int(both.sum()))
 
 
-def _placed(clouds: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
-    return np.concatenate([cloud @ T[:3, :3].T + T[:3, 3] for cloud, T in zip(clouds, poses, strict=True)])
+def _pieces(points: FloatArray, cell: np.ndarray) -> tuple[FloatArray, np.ndarray, np.ndarray]:
+    """By points (N, 3) and the cell (N,) of each: the distance of each from the plane through the points of its cell.
 
-
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    """The planes through the points of every cell."""
-
-    centres: FloatArray
-    normals: FloatArray
-    widths: FloatArray
-    distances: FloatArray
-
-    @classmethod
-    def of(cls, points: FloatArray, cell: np.ndarray) -> _Pieces:
-        """From points (N, 3) and the cell (N,) of each."""
-        counts = np.bincount(cell)
-        centres = np.stack([np.bincount(cell, column) for column in points.T], axis=1) / counts[:, None]
-        away = points - centres[cell]
-        scatter = np.empty((len(counts), 3, 3))
-        for i, j in np.ndindex(3, 3):
-            scatter[:, i, j] = np.bincount(cell, away[:, i] * away[:, j]) / counts
-        values, vectors = np.linalg.eigh(scatter)
-        normals = vectors[:, :, 0]
-        distances = np.abs(np.einsum("ni,ni->n", away, normals[cell]))
-        return cls(centres, normals, np.sqrt(np.maximum(values, 0.0)), distances)
-
-    @property
-    def flat(self) -> np.ndarray:
-        """Which are planes."""
-        return self.widths[:, 0] <= _FLAT * self.widths[:, 1]
-
-    @property
-    def are_cut(self) -> np.ndarray:
-        """Which lie along a face of their cube."""
-        axis = np.abs(self.normals).argmax(axis=1)
-        place = np.take_along_axis(self.centres, axis[:, None], axis=1)[:, 0] / _CELL_M
-        return np.abs(place - np.rint(place)) * _CELL_M < _CUT * self.widths[:, 0]
+    Then which cells (C,) hold a plane, and of which it lies along a face of their cube.
+    """
+    counts = np.bincount(cell)
+    centres = np.stack([np.bincount(cell, column) for column in points.T], axis=1) / counts[:, None]
+    away = points - centres[cell]
+    scatter = np.empty((len(counts), 3, 3))
+    for i, j in np.ndindex(3, 3):
+        scatter[:, i, j] = np.bincount(cell, away[:, i] * away[:, j]) / counts
+    values, vectors = np.linalg.eigh(scatter)
+    normals, widths = vectors[:, :, 0], np.sqrt(np.maximum(values, 0.0))
+    axis = np.abs(normals).argmax(axis=1)
+    place = np.take_along_axis(centres, axis[:, None], axis=1)[:, 0] / _CELL_M
+    are_cut = np.abs(place - np.rint(place)) * _CELL_M < _CUT * widths[:, 0]
+    return np.abs(np.einsum("ni,ni->n", away, normals[cell])), widths[:, 0] <= _FLAT * widths[:, 1], are_cut
 
 
 #: So many points of all scans together are enough, evenly taken.
