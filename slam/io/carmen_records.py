@@ -17,8 +17,6 @@ from slam.io.raw import BROKEN, nanoseconds, number_of, numbered_lines
 from slam.lazy import Spool
 from spplanes._check import FloatArray
 
-#: Longer lines are refused before they fill the memory, bytes.
-LONGEST_LINE = 1 << 20
 #: The words after the poses of every record: time of the sensor, host, time of the logger.
 _TAIL = 3
 _LASER = re.compile(r"(FLASER|RLASER|(?:ROBOT|RAW)LASER\d)$")
@@ -148,7 +146,7 @@ def read_records(path: Path, keep_partial: bool) -> RawLog:
     raw, number = RawLog(Spool(path)), 0
     broken: LogError | None = None
     try:
-        for number, line in numbered_lines(path, LONGEST_LINE):
+        for number, line in numbered_lines(path, longest=1 << 20):
             if broken:  # in the middle
                 raise broken
             try:

@@ -121,19 +121,8 @@ def depth_rig() -> Rig:
     return Rig(sensors={CAMERA: camera}, odometry=MEASURED, localisation=cloud_rig().localisation)
 
 
-#: Steps of ranges that lasers use, m.
-_STEPS_M = (0.1, 0.05, 0.01, 0.005, 0.001)
-
-#: A 2D laser whose axis is nearer to upright than this (cosine) sees lines; any other is taken for a push-broom one.
-_LEVEL = 0.97
-
-#: Flatness taken for walls nobody describes, and the length of a patch that shares one deviation: skirting, door frames
-#: and what leans on walls.
-DEFAULT_SURFACE_SIGMA_M = 0.008
-DEFAULT_SURFACE_CORRELATION_M = 0.5
-#: Share of what beams scatter by that those of one patch are taken to have in common: a laser that measures worse does
-#: so in what it repeats as well.
-_IN_COMMON = 0.5
+#: Flatness taken for walls nobody describes, m.
+_SURFACE_SIGMA_M = 0.008
 
 
 def default_rig_for(log: Log) -> Rig:
@@ -152,23 +141,24 @@ def default_rig_for(log: Log) -> Rig:
 
 
 def _default_laser(name: str, scans: list[LaserScan], told: FloatArray | None) -> Sensor:
-    steps, largest = _STEPS_M, 0.0
+    steps, largest = [0.1, 0.05, 0.01, 0.005, 0.001], 0.0  # those that lasers use, m
     for scan in scans:
         seen = scan.ranges[np.isfinite(scan.ranges)]
-        steps = _steps_of(seen, steps)
+        steps = [step for step in steps if (np.abs(seen / step - np.rint(seen / step)) <= 1e-3).all()]
         largest = max(largest, float(seen.max(initial=0.0)))
     sensor = Sensor(
-        kind="line" if told is None or abs(told[2, 2]) > _LEVEL else "slice",
+        kind="line" if told is None or abs(told[2, 2]) > 0.97 else "slice",  # up to 14 deg off level it sees lines
         record=name,
         body_T_sensor=_default_mount(name, told),
         range_sigma_m=TYPICAL_BEAM_SIGMA_M,
         quantisation_m=max(steps, default=0.0) if largest else 0.0,
         range_max_m=largest + 0.01 if largest else 80.0,
-        surface_sigma_m=DEFAULT_SURFACE_SIGMA_M,
-        surface_correlation_m=DEFAULT_SURFACE_CORRELATION_M,
+        surface_sigma_m=_SURFACE_SIGMA_M,
+        surface_correlation_m=0.5,  # a patch that shares one deviation: skirting, door frames, what leans on walls
     )
     seen_m = shown_by_lines(sensor, scans) or TYPICAL_BEAM_SIGMA_M
-    uneven = float(np.hypot(DEFAULT_SURFACE_SIGMA_M, _IN_COMMON * seen_m))
+    # half of what beams scatter by is taken to be alike over a patch: a laser that measures worse repeats more as well
+    uneven = float(np.hypot(_SURFACE_SIGMA_M, 0.5 * seen_m))
     return with_beam_sigma(sensor.model_copy(update={"surface_sigma_m": uneven}), seen_m)
 
 
@@ -181,12 +171,6 @@ def _default_mount(name: str, told: FloatArray | None) -> Mount:
         return Mount.of(told)
     yaw_deg = float(np.rad2deg(np.arctan2(told[1, 0], told[0, 0])))
     return Mount(xyz_m=(float(told[0, 3]), float(told[1, 3]), float(told[2, 3])), rpy_deg=(0.0, 0.0, yaw_deg))
-
-
-def _steps_of(ranges: FloatArray, steps: tuple[float, ...]) -> tuple[float, ...]:
-    """Those of some steps that all ranges are multiples of, m."""
-    whole = (ranges / step for step in steps)
-    return tuple(step for step, n in zip(steps, whole, strict=True) if (np.abs(n - np.rint(n)) <= 1e-3).all())
 
 
 def bag_rig(log: Log, topics: Topics) -> Rig:

@@ -22,10 +22,6 @@ from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import arrange, shows_lines
 
-#: Name of the rig file that a folder of a mission carries.
-RIG_FILE = "rig.yaml"
-_MISSION_LOGS = ("log.clf.gz", "log.clf")
-
 
 def load(
     path: Path,
@@ -57,8 +53,8 @@ def load(
     """
     path = Path(path)
     check_log_given(path)
-    if rig is None and path.is_dir() and (path / RIG_FILE).is_file():
-        rig = Rig.from_yaml(path / RIG_FILE)
+    if rig is None and (path / "rig.yaml").is_file():
+        rig = Rig.from_yaml(path / "rig.yaml")
     log, sensors = _load(path, rig, keep_partial, topics or Topics(), odometry)
     if odometry is not None and log.odometry_source is None:
         log = with_odometry(log, odometry)
@@ -107,7 +103,7 @@ def _load(path: Path, rig: Rig | None, keep_partial: bool, topics: Topics, odome
 
 def _load_folder(path: Path, rig: Rig | None, keep_partial: bool, odometry: Path | None) -> tuple[Log, Rig]:
     """A mission, the scans of 3DTK, depth images, clouds: the first that is there, and a note where others are too."""
-    mission = first_file(path, _MISSION_LOGS)
+    mission = first_file(path, ("log.clf.gz", "log.clf"))
     if mission is None and (path / "planes.json").is_file():
         raise LogError(path, "expected a log, got the folder of a run")
     kinds: dict[str, Callable[[], tuple[Log, Rig]]] = {}

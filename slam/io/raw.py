@@ -24,7 +24,6 @@ BROKEN = (EOFError, zlib.error, gzip.BadGzipFile)
 HARMLESS_BYTES = 1 << 26
 #: Beyond, more bytes from one byte than this are no sensor data: those of real logs grow 2 to 20 times.
 MOST_GROWTH = 200
-_CHUNK = 1 << 20
 
 
 def check_ratio(path: Path, size: int, packed: int) -> None:
@@ -104,7 +103,7 @@ def read_unpacked(path: Path) -> bytes:
     chunks: list[bytes] = []
     try:
         with _opened(path) as (stream, packed):
-            while chunk := stream.read(_CHUNK):
+            while chunk := stream.read(1 << 20):
                 chunks.append(chunk)
                 if packed:
                     check_ratio(path, stream.tell(), packed)
@@ -155,12 +154,6 @@ def _stream(compression: str) -> Any:
     from rosbags.rosbag2.storage_mcap import zstd  # the standard library's, or its backport
 
     return zstd.ZstdDecompressor()
-
-
-#: The largest time, s, that integer nanoseconds in 64 bits hold.
-LATEST_S = 9_000_000_000
-#: Longer lines are refused before they fill the memory, bytes.
-_LONGEST_LINE = 1 << 16
 
 
 def read_rows(path: Path, *, columns: int, stamp_columns: int = 0) -> tuple[np.ndarray, FloatArray, list[int]]:
@@ -229,7 +222,7 @@ def numbered_words(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and words of every line that is neither empty nor a `#` comment; plain text or gzip."""
     found: list[tuple[int, list[str]]] = []
     try:
-        found.extend((number, text.split()) for number, text in numbered_lines(path, _LONGEST_LINE))
+        found.extend((number, text.split()) for number, text in numbered_lines(path, longest=1 << 16))
     except BROKEN as error:
         last = found[-1][0] if found else 0
         raise LogError(path, "the gzip stream breaks off here", line=last + 1) from error
@@ -273,7 +266,7 @@ def nanoseconds(word: str) -> int:
     """Seconds as text to integer nanoseconds, exactly; a ValueError for what is no time."""
     with suppress(DecimalException):  # no number, or one that overflows
         seconds = Decimal(word if "_" not in word else "")
-        if abs(seconds) <= LATEST_S:
+        if abs(seconds) <= 9e9:  # so many integer nanoseconds 64 bits hold
             return int((seconds * 1_000_000_000).to_integral_value())
     raise ValueError(f"expected a time in seconds, got {word[:20]!r}")
 

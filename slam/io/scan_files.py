@@ -12,12 +12,12 @@ import numpy as np
 
 from slam.errors import LogError
 from slam.geometry.frames import inverse
-from slam.io.trajectories import Trajectory, read_tum
+from slam.io.trajectories import Trajectory, nearest_stamp, read_tum
 from slam.sensors.log import Event, Log, OdometryReading, StoredCloud
 from spplanes._check import FloatArray
 
-#: A pose belongs to a scan where it is at most this far in time, or where two poses this close lie around it, ns.
-POSE_GAP_NS = 500_000_000
+#: A pose belongs to a scan, and odometry reaches it, where it is at most this far in time, ns.
+_REACH_NS = 500_000_000
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,10 @@ class ScanFiles:
         """The pose at every scan, shape (N, 4, 4): by the times where both have them, else as `in_order`."""
         if not (isinstance(rows, Trajectory) and self.timed):
             return self.in_order(source, rows)
-        for path, stamp in zip(self.paths, self.stamps, strict=True):
-            after = int(np.searchsorted(rows.stamps_ns, stamp))
-            near = rows.stamps_ns[max(after - 1, 0) : after + 1]
-            if np.abs(near - stamp).min() > POSE_GAP_NS:
-                problem = f"expected a pose within {POSE_GAP_NS / 1e9} s of the {self.kind}'s time, found none"
-                raise LogError(path, problem)
+        gaps = np.abs(rows.stamps_ns[nearest_stamp(self.stamps, rows.stamps_ns)] - self.stamps)
+        for alone in np.flatnonzero(gaps > _REACH_NS)[:1]:
+            problem = f"expected a pose within {_REACH_NS / 1e9} s of the {self.kind}'s time, found none"
+            raise LogError(self.paths[alone], problem)
         return rows.poses_at(self.stamps)
 
     def in_order(self, source: Path, rows: Trajectory | FloatArray) -> FloatArray:
@@ -75,10 +73,6 @@ class ScanFiles:
 def first_file(folder: Path, names: tuple[str, ...]) -> Path | None:
     """The first file of some names that is in a folder."""
     return next((folder / name for name in names if (folder / name).is_file()), None)
-
-
-#: A scan has odometry where it lies between readings, or at most this far before the first or after the last, ns.
-REACH_NS = 500_000_000
 
 
 def with_odometry(log: Log, path: Path, body_T_sensor: FloatArray | None = None) -> Log:
@@ -115,7 +109,7 @@ def taken_from(path: Path, count: int, own: int = 0) -> str:
 def check_reach(path: Path, rows: Trajectory, stamps_ns: Iterable[int]) -> None:
     """Refuse odometry that does not reach all scans."""
     stamps = np.fromiter(stamps_ns, dtype=np.int64)
-    outside = (stamps < rows.stamps_ns[0] - REACH_NS) | (stamps > rows.stamps_ns[-1] + REACH_NS)
+    outside = (stamps < rows.stamps_ns[0] - _REACH_NS) | (stamps > rows.stamps_ns[-1] + _REACH_NS)
     if outside.any():
         first, last = rows.stamps_ns[[0, -1]] * 1e-9
         raise LogError(

@@ -111,22 +111,32 @@ def is_world(frame: str) -> bool:
 _STILL = 1e-6
 
 
-class Frames:
-    """Transforms between frames; those that move are known apart from those that do not."""
+@dataclass(eq=False)
+class Moves:
+    """What a bag tells of frames and how they move; those that move are known apart from those that do not."""
 
-    def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, FloatArray]] = {}
-        self._moving: set[str] = set()
+    root: str | None = None
+    """A frame of the world by somebody's word."""
+    by_tf: list[tuple[int, str, str, FloatArray]] = field(default_factory=list)
+    """Transforms out of frames of the world: time, parent, child, parent_T_child."""
+    odometry: list[tuple[int, str, FloatArray]] = field(default_factory=list)
+    """Of Odometry: time, frame of the body, odom_T_child."""
+    _parents: dict[str, tuple[str, FloatArray]] = field(default_factory=dict)
+    """Of frames below none of the world's: parent and parent_T_child."""
+    _moving: set[str] = field(default_factory=set)
 
-    def add(self, parent: str, child: str, parent_T_child: FloatArray) -> None:
-        """A transform as a message tells it."""
-        known = self._parents.setdefault(child, (parent, parent_T_child))
-        if known[0] != parent or np.abs(known[1] - parent_T_child).max() > _STILL:
+    def add(self, stamp_ns: int, parent: str, child: str, transform: FloatArray) -> None:
+        """A transform of tf."""
+        if parent == self.root or is_world(parent):
+            self.by_tf.append((stamp_ns, parent, child, transform))
+            return
+        known = self._parents.setdefault(child, (parent, transform))
+        if known[0] != parent or np.abs(known[1] - transform).max() > _STILL:
             self._moving.add(child)
 
     @property
-    def names(self) -> set[str]:
-        """All of them."""
+    def frames(self) -> set[str]:
+        """All that are below none of the world's, and those above them."""
         return {*self._parents, *(parent for parent, _ in self._parents.values())}
 
     @property
@@ -153,27 +163,6 @@ class Frames:
         return chain
 
 
-@dataclass(eq=False)
-class Moves:
-    """What a bag tells of frames and how they move."""
-
-    root: str | None = None
-    """A frame of the world by somebody's word."""
-    frames: Frames = field(default_factory=Frames)
-    """Transforms between frames that are none of the world's."""
-    by_tf: list[tuple[int, str, str, FloatArray]] = field(default_factory=list)
-    """Transforms out of frames of the world: time, parent, child, parent_T_child."""
-    odometry: list[tuple[int, str, FloatArray]] = field(default_factory=list)
-    """Of Odometry: time, frame of the body, odom_T_child."""
-
-    def add(self, stamp_ns: int, parent: str, child: str, transform: FloatArray) -> None:
-        """A transform of tf."""
-        if parent == self.root or is_world(parent):
-            self.by_tf.append((stamp_ns, parent, child, transform))
-        else:
-            self.frames.add(parent, child, transform)
-
-
 def odometry_of(
     path: Path, found: Moves, body: str | None, notes: list[str]
 ) -> tuple[str | None, list[tuple[int, FloatArray]]]:
@@ -184,13 +173,13 @@ def odometry_of(
     """
     child, poses = _told_odometry(path, found, notes)
     if body is None or body == child:
-        return child or next((frame for frame in BODIES if frame in found.frames.names), None), poses
+        return child or next((frame for frame in BODIES if frame in found.frames), None), poses
     if child is None:
-        if poses or body in found.frames.names:
+        if poses or body in found.frames:
             return body, poses
-        there = ", ".join(sorted(found.frames.names)) or "none"
+        there = ", ".join(sorted(found.frames)) or "none"
         raise LogError(path, f"--body-frame: expected a frame of tf, got {body}; there are {there}")
-    child_T_body = found.frames.body_T(child, body)
+    child_T_body = found.body_T(child, body)
     if child_T_body is None:
         problem = f"expected tf from {child}, the frame of the odometry, to {body}, found none"
         raise LogError(path, f"--body-frame: {problem}")
@@ -210,7 +199,7 @@ def _told_odometry(path: Path, found: Moves, notes: list[str]) -> tuple[str | No
             body = children.most_common(1)[0][0]
             notes.append(f"no Odometry: took tf from {world} to {body}")
             return body, [(stamp, pose) for stamp, _, child, pose in of_world if child == body]
-    moving = found.frames.moving_roots
+    moving = found.moving_roots
     if found.root is not None:
         there = ", ".join(sorted({*moving, *(parent for _, parent, _, _ in found.by_tf)})) or "none that moves"
         raise LogError(path, f"--odometry-frame: expected tf from {found.root} to a body, found none; it has {there}")

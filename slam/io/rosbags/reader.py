@@ -179,20 +179,22 @@ def _take(found: _Found, topic: str, received: int, message: Any) -> None:
             parent, child = ros.frame_of(one), str(one.child_frame_id).lstrip("/")
             transform = ros.transform_of(one.transform.translation, one.transform.rotation)
             found.moves.add(ros.stamp_of(one, received), parent, child, transform)
-    elif kind == ros.ODOMETRY:
+        return
+    stamp = ros.stamp_of(message, received)
+    if kind == ros.ODOMETRY:
         pose = ros.transform_of(message.pose.pose.position, message.pose.pose.orientation)
-        found.moves.odometry.append((ros.stamp_of(message, received), str(message.child_frame_id).lstrip("/"), pose))
-    elif kind == ros.SCAN:
+        found.moves.odometry.append((stamp, str(message.child_frame_id).lstrip("/"), pose))
+        return
+    if kind == ros.SCAN:
         ranges, angles = ros.scan_of(message)
         kept = found.spool.put(ranges), ranges.size
         if not np.array_equal(found.angles.get(topic, ()), angles):
             found.angles[topic] = angles
-        found.scans.append((ros.stamp_of(message, received), topic, found.angles[topic], kept))
-        found.frames.setdefault(topic, ros.frame_of(message))
+        found.scans.append((stamp, topic, found.angles[topic], kept))
     else:
         ros.points_of(message)  # a wrong layout is said before any work is done
-        found.clouds.append((ros.stamp_of(message, received), topic, received))
-        found.frames.setdefault(topic, ros.frame_of(message))
+        found.clouds.append((stamp, topic, received))
+    found.frames.setdefault(topic, ros.frame_of(message))
 
 
 def _mounts(
@@ -201,7 +203,7 @@ def _mounts(
     """body_T_sensor by name of the sensor, where tf tells it; of topics that are `mounted` the rig tells it anyway."""
     mounts = {}
     for topic, frame in sorted(found.frames.items()):
-        mount = np.eye(4) if frame == body else None if body is None else found.moves.frames.body_T(body, frame)
+        mount = np.eye(4) if frame == body else None if body is None else found.moves.body_T(body, frame)
         if mount is not None:
             mounts[names[topic]] = mount
         elif topic not in mounted:
