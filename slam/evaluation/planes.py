@@ -77,9 +77,15 @@ def _overlap(plane: Plane, truth: Plane) -> float:
     """Area common to both outlines as a share of the smaller one; 1 where an outline is missing."""
     if plane.outline is None or truth.outline is None:
         return 1.0
-    mine = valid(flatten(plane.outline, inverse(truth.frame) @ plane.frame))
+    mine = outline_in(plane, truth)
     smaller = min(mine.area, truth.outline.area)
     return mine.intersection(truth.outline).area / smaller if smaller > 0.0 else 0.0
+
+
+def outline_in(plane: Plane, other: Plane) -> BaseGeometry:
+    """Outline of a plane projected into the plane coordinates of another."""
+    assert plane.outline is not None
+    return valid(flatten(plane.outline, inverse(other.frame) @ plane.frame))
 
 
 def plane_metrics(
@@ -112,12 +118,8 @@ def _share(part: int, whole: int) -> float:
     return part / whole if whole else float("nan")
 
 
-#: Planes whose normals are within this of opposite are compared, rad.
-_FACING_ANGLE_RAD = np.deg2rad(5.0)
 #: Area in which they face each other, at least, m^2.
 _FACING_M2 = 0.5
-#: A normal this near to the vertical makes floor and ceiling rather than walls.
-_VERTICAL_COSINE = np.cos(np.deg2rad(30.0))
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ def facing_pairs(planes: Sequence[MapPlane]) -> list[FacingPair]:
 def _pair(first: MapPlane, second: MapPlane) -> FacingPair | None:
     a, b = first.plane, second.plane
     cosine = float(a.normal @ -b.normal)
-    if cosine < np.cos(_FACING_ANGLE_RAD) or a.distance(b.centre) <= 0.0:
+    if cosine < np.cos(np.deg2rad(5.0)) or a.distance(b.centre) <= 0.0:
         return None
     moved = flatten(second.seen, inverse(a.frame) @ b.frame)
     shared = shapely.intersection(valid(first.seen), valid(moved))
@@ -161,7 +163,7 @@ def _pair(first: MapPlane, second: MapPlane) -> FacingPair | None:
     direction = (a.normal - b.normal) / np.linalg.norm(a.normal - b.normal)
     gap = float(-b.distance(foot) / (b.normal @ direction))
     sigma = float(np.sqrt(_variance_at(a, foot) + _variance_at(b, b.project(foot))))
-    name = "height" if abs(direction[2]) > _VERTICAL_COSINE else "width"
+    name = "height" if abs(direction[2]) > np.cos(np.deg2rad(30.0)) else "width"
     angle = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
     return FacingPair(name, first.id, second.id, abs(gap), sigma, angle, float(shared.area))
 
@@ -189,8 +191,6 @@ def _variance_at(plane: Plane, point: FloatArray) -> float:
     return float(slope @ covariance @ slope)
 
 
-#: Walls lean less than this from the vertical: sine.
-_MAX_LEAN = 0.26
 #: Walls nearer to each other than this, over one place of the plan, are counted as one metre of wall, m.
 _SAME_M = 0.3
 
@@ -199,7 +199,7 @@ def metres_of_wall(planes: Sequence[MapPlane]) -> tuple[int, float]:
     """Number of walls among planes, and the length of wall that they cover in plan, m, each place once."""
     strips = []
     for plane in planes:
-        if abs(float(plane.plane.normal[2])) > _MAX_LEAN:
+        if abs(float(plane.plane.normal[2])) > 0.26:  # walls lean less than 15 deg
             continue
         corners = lift(shapely.get_coordinates(plane.seen), plane.plane.frame)[:, :2]
         across = plane.plane.normal[:2] / np.linalg.norm(plane.plane.normal[:2])

@@ -23,12 +23,8 @@ from spplanes._check import FloatArray
 
 #: A SICK LMS reports errors as the largest of its 13-bit readings: what they look like, and what to take as none, m.
 _SICK_MODES = ((8.1, 8.2, 7.95), (81.0, 82.0, 40.0))
-#: Offsets of a laser pose against the robot's that differ by less than this are one mount, m and rad.
-_SAME_MOUNT = 1e-4
 #: Records that several programs write at once come late by this much at most, ns: they are sorted.
 _LATE_NS = 1_000_000_000
-#: A reading that means "none" is the largest of at least so many scans, and of so many times more than any other is.
-_NO_RETURN_SCANS, _NO_RETURN_RATIO = 5, 5
 
 
 def read_carmen(path: Path | str, *, rig: Rig | None = None, keep_partial: bool = False) -> Log:
@@ -60,7 +56,10 @@ def read_carmen(path: Path | str, *, rig: Rig | None = None, keep_partial: bool 
     rows = raw.rows()
     if not (rows["name"] > 0).any():
         raise LogError(path, "expected a CARMEN log with laser records, got none")
-    stamps = _stamps(raw, rows)
+    stamps, loggers = rows["stamps_ns"].T
+    if (stamps == stamps[0]).all() and (loggers != loggers[0]).any():
+        raw.notes.append("all ipc times are the same; took the logger's")
+        stamps = loggers
     times = _times(path, raw, rows, stamps)
     lasers = _lasers_of(path, raw, rows, rig)
     stated = {laser.sensor: laser.mount for laser in lasers.values() if laser.mount is not None}
@@ -84,15 +83,6 @@ def _events_of(rows: np.ndarray, times: np.ndarray, lasers: dict[int, TableScans
         if (number == 0 or number in lasers) and tells_odometry[row]:
             events.append(StoredReading({"stamp_ns": time}, pose, row))
     return in_order(events)
-
-
-def _stamps(raw: RawLog, rows: np.ndarray) -> np.ndarray:
-    """Time of every record, shape (N,), ns: the sensor's, or the logger's."""
-    sensors, loggers = rows["stamps_ns"].T
-    if (sensors == sensors[0]).all() and (loggers != loggers[0]).any():
-        raw.notes.append("all ipc times are the same; took the logger's")
-        return loggers
-    return sensors
 
 
 def _times(path: Path, raw: RawLog, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
@@ -165,14 +155,14 @@ def _lasers_of(path: Path, raw: RawLog, rows: np.ndarray, rig: Rig | None) -> di
 def _range_limit(own: np.ndarray) -> float:
     """Ranges of a laser at or beyond this are no returns, m: what is stated, what a SICK says, or the same reading.
 
-    What is far away is hardly ever read as the same number twice; what stands for nothing is the same in scan after
-    scan.
+    What is far away is hardly ever read as the same number twice; what stands for nothing is the largest reading of
+    five scans at least, and of five times more than any other is.
     """
     stated, largest = own["range_max_m"], float(own["largest"].max())
     limits = [float(np.min(stated, initial=np.inf, where=~np.isnan(stated)))]
     limits += [none for low, high, none in _SICK_MODES if low <= largest <= high]
     values, counts = np.unique(np.round(own["largest"], 3), return_counts=True)
-    if counts[-1] >= max(_NO_RETURN_SCANS, _NO_RETURN_RATIO * counts[:-1].max(initial=1)):
+    if counts[-1] >= max(5, 5 * counts[:-1].max(initial=1)):
         limits.append(float(values[-1]))
     return min(limits)
 
@@ -185,8 +175,8 @@ def _stated_mount(name: str, own: np.ndarray, offsets: dict[str, float]) -> Floa
     if not len(pairs):
         return None
     relative = np.array(list(map(_relative, pairs["robot_pose"], pairs["laser_pose"])))
-    middle = np.median(relative, axis=0)
-    if np.abs(relative - middle).max() > _SAME_MOUNT or (name == "RLASER" and not middle.any()):
+    middle = np.median(relative, axis=0)  # what differs by less than 1e-4 m and rad is one mount
+    if np.abs(relative - middle).max() > 1e-4 or (name == "RLASER" and not middle.any()):
         return None
     return planar_transform(*(middle + 0.0))  # no negative zeros
 
@@ -229,16 +219,14 @@ class TableScans:
         """Bearings, shape (B,), rad: the rig's, else the record's, else those of a SICK with that many beams."""
         key = (count, start, step) if np.isfinite(start) else (count,)  # NaN is never the same
         if key not in self._bearings:
-            self._bearings[key] = self._bearings_of(np.arange(count, dtype=np.float64), start, step)
+            beams, (first, between) = np.arange(count, dtype=np.float64), self.angles_deg
+            if first is not None and between is not None:
+                self._bearings[key] = np.deg2rad(first + between * beams)
+            elif np.isfinite(start):
+                self._bearings[key] = start + step * beams
+            else:
+                self._bearings[key] = np.pi * beams / max(count - count % 2, 1) - np.pi / 2.0
         return self._bearings[key]
-
-    def _bearings_of(self, beams: FloatArray, start: float, step: float) -> FloatArray:
-        first, between = self.angles_deg
-        if first is not None and between is not None:
-            return np.asarray(np.deg2rad(first + between * beams), dtype=np.float64)
-        if np.isfinite(start):
-            return start + step * beams
-        return np.pi * beams / max(beams.size - beams.size % 2, 1) - np.pi / 2.0
 
     def pose(self, row: int) -> FloatArray | None:
         """world_T_body of a record, shape (4, 4); None: it gives none."""

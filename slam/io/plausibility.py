@@ -15,12 +15,6 @@ from slam.sensors.log import CloudScan, Event, LaserScan, Log, OdometryReading
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
-#: What half of the returns lie beyond is not in metres: of a 2D laser, of a 3D one, m.
-_FAR_M, _FAR_OF_CLOUDS_M = 150.0, 1000.0
-#: So many scans are looked at for that, all along the log.
-_LOOKED_AT = 4
-#: A scan that is the one before to the last bit was not made here once the wheels have come so far, m and rad.
-_MOVED_M, _MOVED_RAD = 0.05, 0.05
 #: Fewer scans of one time, or alike, may be chance, or all that there is.
 _FEW = 5
 
@@ -34,9 +28,9 @@ def plausible(log: Log, rig: Rig) -> Log:
     """
     scans, level = log.scans(), rig.of_kind("line")
     clouds = [scan for scan in scans if isinstance(scan, CloudScan)]
-    _check_some(log, clouds, lambda scan: np.linalg.norm(scan.points.reshape(-1, 3), axis=1), _FAR_OF_CLOUDS_M)
+    _check_some(log, clouds, lambda scan: np.linalg.norm(scan.points.reshape(-1, 3), axis=1), 1000.0)
     levels = [scan for scan in scans if isinstance(scan, LaserScan) and scan.sensor in level]
-    _check_some(log, levels, lambda scan: scan.ranges, _FAR_M)
+    _check_some(log, levels, lambda scan: scan.ranges, 150.0)
     frozen: set[int] = set()
     for sensor in sorted({scan.sensor for scan in levels}):
         own = [scan for scan in levels if scan.sensor == sensor]
@@ -72,8 +66,8 @@ def _problem_of(event: Event, before_ns: int) -> str:
 
 
 def _check_some(log: Log, scans: Sequence[Scan], distances: Callable[[Scan], np.ndarray], most_m: float) -> None:
-    """Refuse a log none of whose scans can be read, or where the returns of a few of them are too far away."""
-    few = [scans[index] for index in evenly(len(scans), _LOOKED_AT)]
+    """Refuse a log none of whose scans can be read, or of a few of which half of the returns lie beyond metres."""
+    few = [scans[index] for index in evenly(len(scans), 4)]
     medians, failure = [], None
     for number, scan in enumerate((*few, *scans)):
         if number >= len(few) and (medians or failure is None):
@@ -120,7 +114,7 @@ def _frozen(log: Log, sensor: str, scans: list[LaserScan]) -> set[int]:
     for _, alike in groupby(scans, key=lambda scan: scan.ranges.tobytes()):
         first, *others = alike
         there = at(first)
-        again = {id(scan) for scan in others if are_apart(there, at(scan), _MOVED_M, _MOVED_RAD)}
+        again = {id(scan) for scan in others if are_apart(there, at(scan), metres=0.05, radians=0.05)}
         frozen |= again if len(again) >= _FEW else set()
     if frozen:
         times = [scan.stamp_ns * 1e-9 for scan in scans if id(scan) in frozen]

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 LONGEST_HEADER = 1 << 16
 #: What a file says lies farther away was never seen, m.
 FARTHEST_M = 1e9
-#: Coordinates of real points are no smaller, m.
-_LEAST_M = 1e-20
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ def points_of(path: Path, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> FloatA
     """
     points = np.stack((x, y, z), axis=-1).astype(np.float64)
     size = np.abs(points[np.isfinite(points) & (points != 0.0)])
-    if np.count_nonzero((size < _LEAST_M) | (size > FARTHEST_M)) > 0.25 * size.size:
+    if np.count_nonzero((size < 1e-20) | (size > FARTHEST_M)) > 0.25 * size.size:
         raise LogError(path, "expected coordinates in metres, got numbers as of another byte order or type")
     return points
 

@@ -117,8 +117,6 @@ def _camera_of(path: Path) -> Camera:
 CAMERA_MOUNT = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 #: Name of the sensor where no rig gives one.
 SENSOR = "camera"
-#: Time between images that have no clock, ns.
-PERIOD_NS = 33_333_333
 _LISTS, _ODOMETRY = ("depth.txt", "associations.txt"), "odometry.tum"
 #: Names of a file of the camera's poses.
 CAMERA_POSES = ("groundtruth.txt", "poses.tum")
@@ -141,7 +139,7 @@ def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
         if not os.path.isfile(path):  # False for a name too long for any file, too
             named = path.parent / path.name[:60]
             raise LogError(named, "expected the depth image that the list names, found no such file")
-    stamps = [k * PERIOD_NS if stamp is None else stamp for k, stamp in enumerate(told)]
+    stamps = [k * 33_333_333 if stamp is None else stamp for k, stamp in enumerate(told)]  # without a clock 30 a second
     scans = ScanFiles(folder, "image", list(paths), stamps, told[0] is not None, numbered=False)
     truth = first_file(folder, CAMERA_POSES)
     poses = None if truth is None else scans.poses(truth, read_tum(truth)) @ inverse(mount)

@@ -165,10 +165,6 @@ def write_pcd(path: Path | str, points: FloatArray) -> None:
     Path(path).write_bytes(head.encode("ascii") + rows.astype("<f8").tobytes())
 
 
-#: Most bytes that one byte of LZF can stand for: three bytes say "repeat 264 bytes".
-MOST_PER_BYTE = 88
-
-
 def lzf_decompress(data: bytes, size: int) -> bytes:
     """Decompress a block of which the decompressed size is known.
 
@@ -177,7 +173,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
     lower five the upper bits of how far back, less one, it starts; the last byte of the piece holds the lower eight.
     A ValueError says that the sizes cannot belong together (nothing is allocated then), or that the stream is damaged.
     """
-    if size > MOST_PER_BYTE * len(data):
+    if size > 88 * len(data):  # three bytes say "repeat 264 bytes"
         raise ValueError(f"{len(data)} compressed bytes cannot hold the {size} that are declared")
     out = np.empty(size, dtype=np.uint8)
     if _decode(np.frombuffer(data, dtype=np.uint8), out) != size:

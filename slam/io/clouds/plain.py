@@ -14,7 +14,6 @@ from slam.errors import LogError
 from slam.io.clouds.cloud import Cloud, checked, points_of
 from slam.io.raw import ascii_of, check_ratio, damage_told, file_size, read_bytes, text_rows
 
-_POINTS = ("points", "xyz")
 #: A point of KITTI: x, y, z and reflectance, bytes.
 _KITTI_BYTES = 16
 _UNREADABLE = "expected an array in numpy's format, got a file that cannot be read"
@@ -58,7 +57,7 @@ def weigh_kitti_bin(path: Path) -> None:
 
 def _member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-    for name in _POINTS:
+    for name in ("points", "xyz"):
         if name in members:
             return members[name]
     if len(members) != 1:
@@ -97,9 +96,6 @@ def _cloud(path: Path, array: np.ndarray) -> Cloud:
     return checked(path, points_of(path, *(array[..., axis] for axis in range(3))))
 
 
-_COMMENTS = (b"#", b"//")
-
-
 def read_text(path: Path) -> Cloud:
     """Read rows of numbers separated by blanks, commas or semicolons; `nan` is no return.
 
@@ -135,7 +131,7 @@ def _head(lines: list[bytes]) -> tuple[int, list[str], int | None]:
         words = (
             text.lstrip(b"#/ ").decode("ascii", errors="replace").replace(",", " ").replace(";", " ").lower().split()
         )
-        if text.startswith(_COMMENTS):
+        if text.startswith((b"#", b"//")):
             names = words if {"x", "y", "z"} <= set(words) else names
         elif not names and {"x", "y", "z"} <= set(words):
             names = words

@@ -16,10 +16,6 @@ from slam.io.clouds.cloud import Cloud, checked
 from slam.io.raw import check_ratio, check_room, damage_told, file_size, in_short, read_bytes
 from spplanes._check import FloatArray
 
-#: Bits that a point of an E57 file takes at least; constant columns take none, so this is generous.
-_LEAST_BITS = 1
-#: A grid of rows and columns may have this many cells for each point.
-_MOST_CELLS_PER_POINT = 16
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _INVALID = ("cartesianInvalidState", "sphericalInvalidState")
@@ -55,7 +51,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 def _scan(path: Path, file: Any, index: int) -> Cloud:
     header = file.get_header(index)
-    if header.point_count * _LEAST_BITS > 8 * file_size(path):
+    if header.point_count > 8 * file_size(path):  # a bit a point is little: but constant columns take none
         raise LogError(path, f"expected as many points as the file can hold, got {header.point_count} declared")
     told = set(header.point_fields)
     axes = _CARTESIAN if set(_CARTESIAN) <= told else _SPHERICAL
@@ -78,10 +74,10 @@ def _scan(path: Path, file: Any, index: int) -> Cloud:
 
 
 def _organised(points: FloatArray, row: np.ndarray, column: np.ndarray) -> FloatArray:
-    """Points in their rows and columns; as they came where those say nothing, or the grid would be nearly empty."""
+    """Points in their rows and columns; as they came where those say nothing, or fill less than a cell in 16."""
     rows, columns = int(row.max(initial=0)) + 1, int(column.max(initial=0)) + 1
     senseless = row.min(initial=0) < 0 or column.min(initial=0) < 0 or min(rows, columns) < 2
-    if senseless or rows * columns > _MOST_CELLS_PER_POINT * len(points):
+    if senseless or rows * columns > 16 * len(points):
         return points
     grid = np.full((rows, columns, 3), np.nan)
     grid[row, column] = points
@@ -94,14 +90,6 @@ def _pose(header: Any) -> FloatArray | None:
     pose[:3, :3] = Rotation.from_quat(np.asarray(header.rotation, dtype=np.float64), scalar_first=True).as_matrix()
     pose[:3, 3] = np.asarray(header.translation, dtype=np.float64)
     return None if np.array_equal(pose, np.eye(4)) else pose
-
-
-#: Bytes of a record of variable length without its content: before the points, and after them.
-_RECORD_BYTES, _LATE_RECORD_BYTES = 54, 60
-#: A chunk of compressed points begins with a whole one.
-_CHUNK_BYTES = 20
-#: A compressed point takes this many bytes at least: whoever declares more points than that declares nonsense.
-_LEAST_BYTES = 0.1
 
 
 def read_las(path: Path) -> Cloud:
@@ -118,7 +106,8 @@ def read_las(path: Path) -> Cloud:
             if header.are_points_compressed:
                 _check_chunks(path, int(header.offset_to_point_data))
                 check_ratio(path, header.point_count * header.point_format.size, file_size(path))
-            least = _LEAST_BYTES if header.are_points_compressed else header.point_format.size
+            # a compressed point takes a tenth of a byte at least: whoever declares more points declares nonsense
+            least = 0.1 if header.are_points_compressed else header.point_format.size
             room = file_size(path) - int(header.offset_to_point_data)
             check_room(path, f"{header.point_count} points", int(header.point_count * least), room)
             found = reader.read()
@@ -138,16 +127,19 @@ def read_las(path: Path) -> Cloud:
 
 
 def _check_header(path: Path) -> None:
-    """Refuse records of variable length that the file cannot hold: to skip billions of them takes for ever."""
+    """Refuse records of variable length that the file cannot hold: to skip billions of them takes for ever.
+
+    Without its content one takes 54 bytes before the points, and 60 after them.
+    """
     head, size = read_bytes(path, size=375), file_size(path)
     if len(head) < 227 or head[:4] != b"LASF":
         raise LogError(path, "expected a LAS or LAZ file, got one that does not begin like one, or ends in its header")
     header_size, offset, count = struct.unpack_from("<HII", head, 94)
     check_room(path, "what is before the points", offset, size)
-    check_room(path, f"{count} records before the points", count * _RECORD_BYTES, min(offset, size) - header_size)
+    check_room(path, f"{count} records before the points", count * 54, min(offset, size) - header_size)
     if head[25] >= 4 and len(head) >= 247:
         start, count = struct.unpack_from("<QI", head, 235)
-        check_room(path, f"{count} records after the points", count * _LATE_RECORD_BYTES, max(size - start, 0))
+        check_room(path, f"{count} records after the points", count * 60, max(size - start, 0))
 
 
 def _check_chunks(path: Path, start: int) -> None:
@@ -158,4 +150,4 @@ def _check_chunks(path: Path, start: int) -> None:
         (table,) = struct.unpack("<q", read_bytes(path, max(size - 8, 0), 8).ljust(8, b"\0"))
     check_room(path, "the table of chunks", table + 8 if table > 0 else size + 1, size)
     _, count = struct.unpack("<II", read_bytes(path, table, 8))
-    check_room(path, f"{count} chunks of points", count * _CHUNK_BYTES, size - start)
+    check_room(path, f"{count} chunks of points", count * 20, size - start)  # each begins with a whole point

@@ -107,10 +107,6 @@ def is_world(frame: str) -> bool:
     return name in WORLDS or name.startswith("odom")
 
 
-#: A transform that changes by more than this moves, m and rad.
-_STILL = 1e-6
-
-
 @dataclass(eq=False)
 class Moves:
     """What a bag tells of frames and how they move; those that move are known apart from those that do not."""
@@ -131,7 +127,7 @@ class Moves:
             self.by_tf.append((stamp_ns, parent, child, transform))
             return
         known = self._parents.setdefault(child, (parent, transform))
-        if known[0] != parent or np.abs(known[1] - transform).max() > _STILL:
+        if known[0] != parent or np.abs(known[1] - transform).max() > 1e-6:  # m and rad
             self._moving.add(child)
 
     @property

@@ -22,8 +22,6 @@ from slam.sensors.log import Event, Log, OdometryReading, StoredCloud, StoredSca
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
 
-_SUFFIXES = (".bag", ".mcap", ".db3")
-
 
 @dataclass(frozen=True)
 class Topics:
@@ -63,7 +61,7 @@ class _Found:
 
 def is_rosbag(path: Path) -> bool:
     """Whether a path is a bag by its name, or a folder with the metadata of one."""
-    return (path.is_file() and path.suffix in _SUFFIXES) or (path / "metadata.yaml").is_file()
+    return (path.is_file() and path.suffix in (".bag", ".mcap", ".db3")) or (path / "metadata.yaml").is_file()
 
 
 def sensor_name(topic: str) -> str:
