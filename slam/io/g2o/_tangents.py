@@ -11,14 +11,14 @@ from spplanes._check import FloatArray
 #: g2o writes the error of a plane in azimuth and elevation of its normal, which know no direction at the poles: a
 #: floor is measured in the second frame, where it is a wall.
 SENSORS = np.eye(3), np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-#: Above this |n_z| a plane is measured in the second frame: the poles of both are equally far.
-_STEEP = np.sqrt(0.5)
-_STEPS = 30
+#: Derivative (6, 6) of g2o's pose error (x, y, z, qx, qy, qz) by GTSAM's tangent (rx, ry, rz, x, y, z), at zero error:
+#: the imaginary part of the quaternion is half the rotation vector.
+POSE_JACOBIAN = np.kron([[0.0, 1.0], [0.5, 0.0]], np.eye(3))
 
 
 def sensor_for(normal: FloatArray) -> int:
     """Which of `SENSORS` has a normal (3,) of the body frame far from its poles."""
-    return int(abs(normal[2]) > _STEEP)
+    return int(abs(normal[2]) > np.sqrt(0.5))
 
 
 def plane_jacobian(measured: gtsam.OrientedPlane3, body_R_sensor: FloatArray) -> FloatArray:
@@ -44,7 +44,7 @@ def measured_plane(seen: gtsam.OrientedPlane3, step: FloatArray) -> tuple[gtsam.
     step, and D, the derivative (3, 3) of the error e by the tangent of `seen`.
     """
     measured = seen.retract(-step)
-    for _ in range(_STEPS):
+    for _ in range(30):
         missing = plane_error(measured, seen) - _slope(measured, seen) @ step
         if np.abs(missing).max() < 1e-14 * (1.0 + abs(seen.distance())):
             break
@@ -65,22 +65,15 @@ def _slope(measured: gtsam.OrientedPlane3, seen: gtsam.OrientedPlane3) -> FloatA
     return slope
 
 
-def pose_jacobian() -> FloatArray:
-    """Derivative (6, 6) of g2o's pose error by GTSAM's tangent (rx, ry, rz, x, y, z), at zero error.
+def root_information(upper: FloatArray, size: int) -> FloatArray:
+    """Upper triangular R, shape (n, n), with R^T R the information matrix whose upper half is given, row by row.
 
-    g2o's error is (x, y, z, qx, qy, qz): the imaginary part of the quaternion is half the rotation vector.
+    A ValueError refuses one that is not positive semidefinite. Rank may be missing: a line leaves a direction of its
+    plane open, a prior may hold some coordinates only.
     """
-    jacobian = np.zeros((6, 6))
-    jacobian[:3, 3:], jacobian[3:, :3] = np.eye(3), 0.5 * np.eye(3)
-    return jacobian
-
-
-def root_information(information: FloatArray) -> FloatArray:
-    """Upper triangular R, shape (n, n), with R^T R = information; ValueError where that is not positive semidefinite.
-
-    Rank may be missing: a line leaves a direction of its plane open, a prior may hold some coordinates only.
-    """
-    values, vectors = np.linalg.eigh(information)
+    matrix = np.zeros((size, size))
+    matrix[np.triu_indices(size)] = upper
+    values, vectors = np.linalg.eigh(matrix + np.triu(matrix, 1).T)
     if values[0] < -1e-9 * max(values[-1], 0.0):
         raise ValueError("expected a positive semidefinite information matrix, got one with a negative eigenvalue")
     scaled = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T

@@ -13,7 +13,7 @@ import numpy as np
 from factors.robust import gaussian
 from slam.errors import LogError
 from slam.geometry.frames import norms_of
-from slam.io.g2o._tangents import plane_jacobian, pose_jacobian, root_information
+from slam.io.g2o._tangents import POSE_JACOBIAN, plane_jacobian, root_information
 from slam.io.raw import floats_of, line_named, numbered_words
 from spplanes._check import TOO_LARGE, FloatArray
 
@@ -139,7 +139,7 @@ class _Reader:
             keys.append(gtsam.symbol("x", number))
         if edge.kind == "EDGE_SE3_PLANE_CALIB":
             return self._sighting(edge, keys[0])
-        root = _root(edge.numbers[7:], 6) @ pose_jacobian()
+        root = root_information(edge.numbers[7:], 6) @ POSE_JACOBIAN
         measured = _pose(edge.measured)
         if edge.kind == "EDGE_SE3:QUAT":
             return gtsam.BetweenFactorPose3(keys[0], keys[1], measured, _noise(root))
@@ -156,7 +156,7 @@ class _Reader:
         in_sensor = _plane(edge.measured)
         measured = in_sensor.transform(body_T_sensor.inverse())
         in_g2o = plane_jacobian(in_sensor, np.eye(3)) @ _to_sensor(in_sensor, measured, body_T_sensor)
-        noise = _noise(_root(edge.numbers[7:], 3) @ in_g2o)
+        noise = _noise(root_information(edge.numbers[7:], 3) @ in_g2o)
         plane_key = gtsam.symbol("p", plane)
         return gtsam_unstable.LocalOrientedPlane3Factor(measured, noise, pose_key, _WORLD, plane_key)
 
@@ -197,12 +197,6 @@ def _plane(numbers: FloatArray) -> gtsam.OrientedPlane3:
     return gtsam.OrientedPlane3(numbers[:4] / norm)
 
 
-def _root(upper: FloatArray, size: int) -> FloatArray:
-    matrix = np.zeros((size, size))
-    matrix[np.triu_indices(size)] = upper
-    return root_information(matrix + np.triu(matrix, 1).T)
-
-
 def _to_sensor(
     in_sensor: gtsam.OrientedPlane3, in_body: gtsam.OrientedPlane3, body_T_sensor: gtsam.Pose3
 ) -> FloatArray:
@@ -231,13 +225,14 @@ def _noise(root: FloatArray) -> gtsam.noiseModel.Base:
 
 
 def _held(key: int, pose: gtsam.Pose3) -> gtsam.PriorFactorPose3:
-    return gtsam.PriorFactorPose3(key, pose, gtsam.noiseModel.Isotropic.Sigma(6, _HELD_SIGMA))
+    """A prior of 1e-6 m and rad, far below what sensors measure, and still well conditioned.
+
+    GTSAM's solvers take no constraint by default: LM stops at once without a word, the others throw.
+    """
+    return gtsam.PriorFactorPose3(key, pose, gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
 
 
 _WORLD = gtsam.symbol("w", 0)
-#: How firmly a fixed pose is held, m and rad. GTSAM's solvers take no constraint by default: LM stops at once without a
-#: word, the others throw. This is far below what sensors measure, and still well conditioned.
-_HELD_SIGMA = 1e-6
 #: All have an id and seven numbers.
 _VERTICES = ("VERTEX_SE3:QUAT", "VERTEX_PLANE", "PARAMS_SE3OFFSET")
 #: Number of ids, and of numbers after them.

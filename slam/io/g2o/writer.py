@@ -15,17 +15,14 @@ import numpy as np
 from factors import landmark_anchors
 from factors._check import held
 from factors._custom import Recipe, VelocityRecipe, describe
-from slam.io.g2o._tangents import SENSORS, measured_plane, plane_jacobian, pose_jacobian, sensor_for
+from slam.io.g2o._tangents import POSE_JACOBIAN, SENSORS, measured_plane, plane_jacobian, sensor_for
 from slam.io.g2o.reader import G2oGraph
 from slam.io.raw import numbered_words
 from spplanes._check import FloatArray
 
-#: Newton steps to where the error of a prior is zero.
-_STEPS = 20
 _PLANE_RGB = "0.6 0.6 0.65"
-#: GTSAM's tangent of a pose by g2o's error, at zero, and where the upper halves of information matrices are.
-_TANGENT_BY_G2O = np.linalg.inv(pose_jacobian())
-_UPPER = {size: np.triu_indices(size) for size in (3, 6)}
+#: GTSAM's tangent of a pose by g2o's error, at zero.
+_TANGENT_BY_G2O = np.linalg.inv(POSE_JACOBIAN)
 
 
 @dataclass(frozen=True)
@@ -170,7 +167,7 @@ class _Writer:
     def _prior(self, key: int, factor: Any) -> str:
         """What it measured is where its error vanishes, found by Newton steps of least norm."""
         measured = self.values.atPose3(key)
-        for _ in range(_STEPS):
+        for _ in range(20):
             matrix, rest = _linearised(factor, {key: measured})
             step = np.linalg.lstsq(matrix, rest, rcond=1e-12)[0]
             measured = measured.retract(step)
@@ -211,7 +208,7 @@ def _pose(pose: gtsam.Pose3) -> str:
 
 
 def _upper(matrix: FloatArray) -> str:
-    return _numbers(matrix[_UPPER[len(matrix)]])
+    return _numbers(matrix[np.triu_indices(len(matrix))])
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -42,7 +42,14 @@ class SalvagedBag:
         if not data.startswith((_ROS1_MAGIC, _MCAP_MAGIC)):
             raise LogError(path, "expected a ROS 1 bag or an MCAP file to salvage, got another")
         read, magic = (self._ros1, _ROS1_MAGIC) if self.is_ros1 else (self._mcap, _MCAP_MAGIC)
-        self._take(read(path, data, len(magic)))
+        try:
+            for number, stamp, raw in read(path, data, len(magic)):
+                if number in self._connections:
+                    self._messages.append((self._connections[number], stamp, raw))
+                else:
+                    self._strangers += 1
+        except (_Cut, struct.error):  # the latter of numbers that are cut off
+            self.is_whole = False
         self._messages.sort(key=lambda one: one[1])
 
     def __enter__(self) -> SalvagedBag:
@@ -92,16 +99,6 @@ class SalvagedBag:
 
         told = definition_of(msgtype, definition), "", 0, ConnectionExtRosbag1(None, None)
         self._connections[number] = Connection(number, topic, msgtype, *told, self)
-
-    def _take(self, messages: Iterator[tuple[int, int, bytes]]) -> None:
-        try:
-            for number, stamp, raw in messages:
-                if number in self._connections:
-                    self._messages.append((self._connections[number], stamp, raw))
-                else:
-                    self._strangers += 1
-        except (_Cut, struct.error):  # the latter of numbers that are cut off
-            self.is_whole = False
 
     def _ros1(self, path: Path, data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
         """Record by record: header with fields name=value, then data."""
