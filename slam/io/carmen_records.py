@@ -6,7 +6,6 @@ import math
 import re
 import struct
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from spplanes._check import FloatArray
 
 #: The words after the poses of every record: time of the sensor, host, time of the logger.
 _TAIL = 3
-_LASER = re.compile(r"(FLASER|RLASER|(?:ROBOT|RAW)LASER\d)$")
+_NUMBERED_LASER = re.compile(r"(?:ROBOT|RAW)LASER\d$")
 _KEYWORD = re.compile(r"[A-Z][A-Z0-9_]*$")
 #: Laser offsets along the robot's axis that a log may state.
 OFFSET_PARAMETERS = {"robot_frontlaser_offset": "FLASER", "robot_rearlaser_offset": "RLASER"}
@@ -32,7 +31,7 @@ ROW = np.dtype(
     + [("laser_pose", "<f8", 3), ("robot_pose", "<f8", 3)]
 )
 _PACK = struct.Struct("<6q10d").pack
-_NOT_TOLD = (math.nan,) * 3
+_NOT_TOLD: tuple[float, ...] = (math.nan,) * 3
 ODOM = "ODOM"
 
 
@@ -60,58 +59,43 @@ class RawLog:
     def take(self, line: str, number: int) -> None:
         """Keep what is told by a line, neither empty nor a comment; a ValueError says what is wrong with it."""
         words = line.split()
-        keyword = words[0]
-        if keyword == ODOM:
+        keyword, ranges = words[0], None
+        scale, laser_pose, robot_pose = _NOT_TOLD, _NOT_TOLD, _NOT_TOLD
+        if keyword == ODOM:  # x y theta tv rv acceleration, t host t
             _check_length(words, 1 + 6 + _TAIL)
-            self._put(words, number, robot_pose=_pose(words, 1))
-        elif keyword in ("FLASER", "RLASER"):
-            self._take_plain(words, number)
-        elif _LASER.match(keyword):
-            self._take_numbered(words, number)
+            robot_pose = _pose(words, 1)
+        elif keyword in ("FLASER", "RLASER"):  # n r... x y theta odom_x odom_y odom_theta, t host t
+            n = _count(words, 1)
+            _check_length(words, 2 + n + 6 + _TAIL)
+            ranges, laser_pose, robot_pose = _numbers(words[2 : 2 + n]), _pose(words, 2 + n), _pose(words, 5 + n)
+        elif _NUMBERED_LASER.match(
+            keyword
+        ):  # type start fov step max accuracy mode n r... m e... (2 poses, 5 more), t host t
+            n = _count(words, 8)
+            m = _count(words, 9 + n) if len(words) > 9 + n else 0
+            has_pose, tail = keyword.startswith("ROBOT"), 10 + n + m
+            _check_length(words, tail + (11 if has_pose else 0) + _TAIL)
+            start, _, step, range_max = _numbers(words[2:6]).tolist()
+            if not (math.isfinite(start) and math.isfinite(step) and step > 0.0):
+                raise ValueError(f"expected a finite start angle and a positive step, got {words[2]} and {words[4]}")
+            ranges, scale = _numbers(words[9 : 9 + n]), (start, step, range_max if range_max > 0.0 else math.nan)
+            if has_pose:
+                laser_pose, robot_pose = _pose(words, tail), _pose(words, tail + 3)
         elif keyword == "PARAM" and len(words) > 2 and words[1] in OFFSET_PARAMETERS:
             self.offsets[OFFSET_PARAMETERS[words[1]]] = float(_numbers(words[2:3])[0])
+            return
         elif _KEYWORD.match(keyword):
             self.skipped[keyword] += 1
+            return
         else:
             raise ValueError(f"expected a CARMEN record, got {keyword[:20]!r}")
-
-    def _take_plain(self, words: list[str], number: int) -> None:
-        """FLASER n r... x y theta odom_x odom_y odom_theta t host t."""
-        n = _count(words, 1)
-        _check_length(words, 2 + n + 6 + _TAIL)
-        ranges = _numbers(words[2 : 2 + n])
-        self._put(words, number, ranges, laser_pose=_pose(words, 2 + n), robot_pose=_pose(words, 5 + n))
-
-    def _take_numbered(self, words: list[str], number: int) -> None:
-        """ROBOTLASERk type start fov step max accuracy mode n r... m e... (laser pose, robot pose, 5 more) t host t."""
-        n = _count(words, 8)
-        m = _count(words, 9 + n) if len(words) > 9 + n else 0
-        has_pose, tail = words[0].startswith("ROBOT"), 10 + n + m
-        _check_length(words, tail + (11 if has_pose else 0) + _TAIL)
-        start, _, step, range_max = _numbers(words[2:6]).tolist()
-        if not (math.isfinite(start) and math.isfinite(step) and step > 0.0):
-            raise ValueError(f"expected a finite start angle and a positive step, got {words[2]} and {words[4]}")
-        ranges = _numbers(words[9 : 9 + n])
-        poses = (_pose(words, tail), _pose(words, tail + 3)) if has_pose else (_NOT_TOLD, _NOT_TOLD)
-        self._put(words, number, ranges, (start, step, range_max if range_max > 0.0 else math.nan), *poses)
-
-    def _put(
-        self,
-        words: list[str],
-        line: int,
-        ranges: FloatArray | None = None,
-        scale: Sequence[float] = _NOT_TOLD,
-        laser_pose: Sequence[float] = _NOT_TOLD,
-        robot_pose: Sequence[float] = _NOT_TOLD,
-    ) -> None:
-        """Keep a record: `scale` is its first bearing and the step of them, rad, and its maximum range, m."""
         stamps = nanoseconds(words[-3]), nanoseconds(words[-1])
         beams, place, largest = 0, 0, math.nan
         if ranges is not None:
             largest = float(np.max(ranges, initial=0.0, where=np.isfinite(ranges)))
             beams, place = ranges.size, self.spool.put(ranges)
-        name = self.names.setdefault(words[0], len(self.names))
-        self.packed += _PACK(*stamps, line, name, beams, place, *scale, largest, *laser_pose, *robot_pose)
+        name = self.names.setdefault(keyword, len(self.names))
+        self.packed += _PACK(*stamps, number, name, beams, place, *scale, largest, *laser_pose, *robot_pose)
 
 
 def _count(words: list[str], place: int) -> int:
@@ -134,11 +118,11 @@ def _numbers(words: list[str]) -> FloatArray:
         return np.array([number_of(word) for word in words])
 
 
-def _pose(words: list[str], place: int) -> list[float]:
+def _pose(words: list[str], place: int) -> tuple[float, ...]:
     pose = _numbers(words[place : place + 3])
     if not np.isfinite(pose).all():
         raise ValueError(f"expected a finite pose, got {' '.join(words[place : place + 3])}")
-    return pose.tolist()
+    return tuple(pose.tolist())
 
 
 def read_records(path: Path, keep_partial: bool) -> RawLog:

@@ -77,33 +77,24 @@ def _parse_header(path: Path) -> tuple[str, list[Element], int, int]:
     for number, end, words in header_lines(path):
         if number == 1 and words != ["ply"]:
             raise LogError(path, "expected the word ply at the start of a PLY file", line=1)
-        if words == ["end_header"]:
-            if order is None:
-                raise LogError(path, "expected the format in the PLY header, found no such line")
-            return _ORDERS[order], elements, end, number + 1
-        try:
-            order = _header_line(words, elements) or order
-        except ValueError as error:
-            raise LogError(path, f"{error}, got {' '.join(words)[:40]!r}", line=number) from error
+        match words:
+            case ["end_header"]:
+                if order is None:
+                    raise LogError(path, "expected the format in the PLY header, found no such line")
+                return order, elements, end, number + 1
+            case [] | ["ply"] | ["comment" | "obj_info", *_]:
+                pass
+            case ["format", name, "1.0"] if name in _ORDERS:
+                order = _ORDERS[name]
+            case ["element", name, count] if count.isdecimal() and len(count) < 19:
+                elements.append(Element(name, int(count), []))
+            case ["property", "list", _, _, _] if elements:
+                elements[-1].has_lists = True
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1].columns.append((name, _TYPES[kind]))
+            case _:
+                raise LogError(path, f"expected a line of a PLY header, got {' '.join(words)[:40]!r}", line=number)
     raise LogError(path, "expected a PLY header that ends with end_header, found no such line")
-
-
-def _header_line(words: list[str], elements: list[Element]) -> str | None:
-    """Take one line of the header; the format, if that is what it says."""
-    match words:
-        case [] | ["ply"] | ["comment" | "obj_info", *_]:
-            return None
-        case ["format", order, "1.0"] if order in _ORDERS:
-            return order
-        case ["element", name, count] if count.isdecimal() and len(count) < 19:
-            elements.append(Element(name, int(count), []))
-        case ["property", "list", _, _, _] if elements:
-            elements[-1].has_lists = True
-        case ["property", kind, name] if elements and kind in _TYPES:
-            elements[-1].columns.append((name, _TYPES[kind]))
-        case _:
-            raise ValueError("expected a line of a PLY header")
-    return None
 
 
 def write_ply_tables(path: Path | str, tables: Mapping[str, np.ndarray]) -> None:
