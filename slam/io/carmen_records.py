@@ -18,7 +18,7 @@ from spplanes._check import FloatArray
 
 #: The words after the poses of every record: time of the sensor, host, time of the logger.
 _TAIL = 3
-_NUMBERED_LASER = re.compile(r"(?:ROBOT|RAW)LASER\d$")
+_NUMBERED = re.compile(r"(?:ROBOT|RAW)LASER\d$")
 _KEYWORD = re.compile(r"[A-Z][A-Z0-9_]*$")
 #: Laser offsets along the robot's axis that a log may state.
 OFFSET_PARAMETERS = {"robot_frontlaser_offset": "FLASER", "robot_rearlaser_offset": "RLASER"}
@@ -68,7 +68,7 @@ class RawLog:
             n = _count(words, 1)
             _check_length(words, 2 + n + 6 + _TAIL)
             ranges, laser_pose, robot_pose = _numbers(words[2 : 2 + n]), _pose(words, 2 + n), _pose(words, 5 + n)
-        elif _NUMBERED_LASER.match(
+        elif _NUMBERED.match(
             keyword
         ):  # type start fov step max accuracy mode n r... m e... (2 poses, 5 more), t host t
             n = _count(words, 8)

@@ -78,28 +78,26 @@ class Messages:
     ) -> Any:
         """`layout`: plain, shuffled (fields in another order, room between), padded (rows), big (endian), double."""
         grid = points if points.ndim == 3 else points[None]
-        order = ">" if layout == "big" else "<"
-        float_ = order + ("f8" if layout == "double" else "f4")
-        size = np.dtype(float_).itemsize
-        places = {"z": 4, "ring": 4 + size, "x": 16 + size, "y": 20 + 2 * size} if layout == "shuffled" else {}
-        places = places or {"x": 0, "y": size, "z": 2 * size}
-        step = max(places.values()) + size + (4 if layout != "plain" else 0)
-        names = list(places)
-        formats = [float_ if name in "xyz" else "<u2" for name in names]
-        dtype = np.dtype({"names": names, "formats": formats, "offsets": list(places.values()), "itemsize": step})
-        padding = 24 if layout == "padded" else 0
+        float_ = {"big": ">f4", "double": "<f8"}.get(layout, "<f4")
+        x, y, z = fields = [(axis, float_) for axis in "xyz"]
+        if layout == "shuffled":
+            fields = [("room", "V4"), z, ("ring", "<u2"), ("more", "V10"), x, ("still more", "V4"), y]
+        dtype = np.dtype(fields if layout == "plain" else [*fields, ("end", "V4")])
         table = np.zeros(grid.shape[:2], dtype=dtype)
         for k, axis in enumerate("xyz"):
             table[axis] = grid[..., k]
+        padding = 24 if layout == "padded" else 0
         data = np.frombuffer(b"".join(row.tobytes() + bytes(padding) for row in table), dtype=np.uint8)
-        types = {name: (8 if size == 8 else 7) if name in "xyz" else 4 for name in places}
-        fields = [
-            self.make("sensor_msgs/PointField", name=name, offset=place, datatype=types[name], count=1)
-            for name, place in places.items()
+        types = {np.dtype(kind): number for kind, number in (("<u2", 4), ("<f4", 7), (">f4", 7), ("<f8", 8))}
+        told = [
+            self.make("sensor_msgs/PointField", name=name, offset=place, datatype=types[kind], count=1)
+            for name, (kind, place, *_) in dtype.fields.items()
+            if kind in types
         ]
         rows, columns = table.shape
+        step = dtype.itemsize
         sizes = {"height": rows, "width": columns, "point_step": step, "row_step": step * columns + padding}
-        values = {"fields": fields, "is_bigendian": layout == "big", "data": data, "is_dense": False}
+        values = {"fields": told, "is_bigendian": layout == "big", "data": data, "is_dense": False}
         return self.make("sensor_msgs/PointCloud2", header=self.header(stamp_ns, frame), **{**sizes, **values, **other})
 
 

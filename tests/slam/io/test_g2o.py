@@ -13,7 +13,8 @@ from slam.io.g2o.reader import read_g2o
 from slam.io.g2o.writer import _numbers, in_another_world, write_g2o
 from spplanes import Location, Plane, ScanLine
 from spplanes.spmodel import transform_from_rpy
-from tests.factors.factor_scenes import random_covariance
+from tests.factors.association_scenes import drawn
+from tests.factors.factor_scenes import make_line, random_covariance
 
 X = [gtsam.symbol("x", i) for i in range(3)]
 P = [gtsam.symbol("p", i) for i in range(4)]
@@ -81,13 +82,9 @@ def g2o_chi2(path: Path) -> dict[str, float]:
     return result
 
 
-def seen_plane(world: Plane, pose: np.ndarray, rng: np.random.Generator, sigmas=(0.01, 0.004, 0.02)) -> Plane:
+def seen_plane(world: Plane, pose: np.ndarray, rng: np.random.Generator) -> Plane:
     """A plane as the pose sees it, off by about its own covariance, with strong cross terms."""
-    covariance = random_covariance(rng, np.array(sigmas))
-    local = world.transform(np.linalg.inv(pose))
-    shift = np.linalg.cholesky(covariance) @ rng.standard_normal(3)
-    frame = Location.plane(local.frame, covariance).perturbed(shift).transform
-    return Plane(frame, covariance, 50)
+    return drawn(world.transform(np.linalg.inv(pose)), random_covariance(rng, np.array((0.01, 0.004, 0.02))), rng)
 
 
 WALLS = [
@@ -135,11 +132,7 @@ def laser_line() -> ScanLine:
     local = WALLS[2].transform(np.linalg.inv(POSES[1] @ MOUNT))
     flat = np.linalg.norm(local.normal[:2])
     alpha, rho = float(np.arctan2(-local.normal[1], -local.normal[0])), float(-local.d / flat)
-    along = np.array([-np.sin(alpha), np.cos(alpha)])
-    middle = rho * np.array([np.cos(alpha), np.sin(alpha)])
-    ends, alpha, rho = middle + np.outer([-1.0, 1.5], along), alpha + 0.002, rho + 0.003
-    normal, noise = np.array([np.cos(alpha), np.sin(alpha)]), np.array([[4e-6, 3e-6], [3e-6, 9e-6]])
-    return ScanLine(alpha, rho, noise, ends + np.outer(rho - ends @ normal, normal), np.arange(20))
+    return make_line(alpha + 0.002, rho + 0.003, np.array([[4e-6, 3e-6], [3e-6, 9e-6]]))
 
 
 def written_and_read(path: Path, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, rel: float = 1e-9):
