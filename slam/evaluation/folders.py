@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -36,9 +35,6 @@ from spplanes._check import FloatArray
 _COUNTS = ("poses compared", "poses of the run", "poses of the truth")
 #: Before the names of the rows of the odometry, and the row in which both are compared in a sentence.
 _ALONE, _ERROR = "odometry alone: ", "ATE translation rmse"
-#: Numbers that an alignment in space takes, and the relative standard deviation of a root mean square beyond which a
-#: sentence says so: that of n numbers is 1 / sqrt(2 n).
-_ALIGNMENT, _MOST_DOUBT = 6, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,22 +66,28 @@ def compare_with_truth(
     """
     run, truth = Path(run), Path(truth)
     check_finished(run)
+    known, notes = None, []
     if truth.is_file() and "relations" not in truth.name:
         reference, notes = read_reference(run, truth, truth_of=truth_of, by_row=by_row)
-        rows = _for_each_path(run, partial(trajectory_metrics, truth=reference))
-        return Evaluation(rows, [*notes, *_what_was_compared(run, rows)])
-    if by_row or truth_of not in (None, BODY):
+        score = partial(trajectory_metrics, truth=reference)
+    elif by_row or truth_of not in (None, BODY):
         raise ValueError(f"{truth}: expected a TUM trajectory where rows or a sensor's poses are asked for")
-    if truth.is_file():
-        rows = _for_each_path(run, partial(relation_metrics, relations=read_relations(truth)))
-        return Evaluation(rows, _what_was_compared(run, rows))
-    check_truth_given(truth)
-    known = Truth.read(_truth_folder(truth))
-    rows = _for_each_path(run, partial(trajectory_metrics, truth=known.trajectory))
-    move = truth_T_estimate(read_tum(run / "trajectory.tum"), known.trajectory)
-    planes = [plane.transform(move) for plane in read_planes(run / "planes.json") if plane.outline is not None]
-    found = plane_metrics(planes, known.planes, visible=known.visible_in_3d())
-    return Evaluation(rows + found, _what_was_compared(run, rows))
+    elif truth.is_file():
+        score = partial(relation_metrics, relations=read_relations(truth))
+    else:
+        check_truth_given(truth)
+        known = Truth.read(_truth_folder(truth))
+        score = partial(trajectory_metrics, truth=known.trajectory)
+    rows = score(read_tum(best_path(run)))
+    if (run / "odometry.tum").exists():
+        alone = score(read_tum(run / "odometry.tum"))
+        rows += [row._replace(name=f"{_ALONE}{row.name}") for row in alone]
+    notes += _what_was_compared(run, rows)
+    if known is not None:
+        move = truth_T_estimate(read_tum(run / "trajectory.tum"), known.trajectory)
+        planes = [plane.transform(move) for plane in read_planes(run / "planes.json") if plane.outline is not None]
+        rows += plane_metrics(planes, known.planes, visible=known.visible_in_3d())
+    return Evaluation(rows, notes)
 
 
 def reference_for(run: Path, truth: Path, *, truth_of: str | None = None, by_row: bool = False) -> Trajectory:
@@ -97,15 +99,6 @@ def reference_for(run: Path, truth: Path, *, truth_of: str | None = None, by_row
 
 def _truth_folder(truth: Path) -> Path:
     return truth / "truth" if (truth / "truth").is_dir() else truth
-
-
-def _for_each_path(run: Path, score: Callable[[Trajectory], list[Metric]]) -> list[Metric]:
-    """Score the trajectory, and the odometry alone where the run kept it."""
-    rows = score(read_tum(best_path(run)))
-    if (run / "odometry.tum").exists():
-        alone = score(read_tum(run / "odometry.tum"))
-        rows += [row._replace(name=f"{_ALONE}{row.name}") for row in alone]
-    return rows
 
 
 def trajectory_metrics(estimate: Trajectory, truth: Trajectory) -> list[Metric]:
@@ -135,11 +128,11 @@ def _what_was_compared(run: Path, rows: list[Metric]) -> list[str]:
     if np.isfinite(alone):
         word = "less" if alone < mine else "more"
         notes.append(f"odometry alone errs by {alone:.4f} m, {word} than the estimate with {mine:.4f} m ({_ERROR})")
-    spare = 3 * compared - _ALIGNMENT
-    doubt = float(np.sqrt(0.5 / spare)) if spare > 0 else 1.0
-    if doubt > _MOST_DOUBT:
+    spare = 3 * compared - 6  # an alignment in space takes six numbers
+    doubt = float(np.sqrt(0.5 / spare)) if spare > 0 else 1.0  # relative, of a root mean square
+    if doubt > 0.1:
         known = f"the errors themselves are known to {100 * doubt:.0f} % only" if spare > 0 else "nothing is left"
-        notes.append(f"few poses: alignment takes {_ALIGNMENT} of their {3 * compared} coordinates, {known}")
+        notes.append(f"few poses: alignment takes 6 of their {3 * compared} coordinates, {known}")
     return notes
 
 

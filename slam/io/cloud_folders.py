@@ -39,25 +39,18 @@ SENSOR = "scanner"
 #: Time between scans that have no clock, ns.
 SCAN_PERIOD_NS = 1_000_000_000
 
-_INSIDE = ("velodyne", "velodyne_points/data", "clouds", "scans")
 _POSES, _ODOMETRY = ("poses.tum", "poses.txt", "trajectory.tum"), ("odometry.tum", "odometry.txt")
 _TIMES = "times.txt"
 #: Text files that are no clouds.
 _NOT_CLOUDS = (*_POSES, *_ODOMETRY, _TIMES, "intrinsics.txt", "calib.txt", "associations.txt", "timestamps.txt")
 #: Formats that other things than clouds come in too: taken where there are no others.
 _AMBIGUOUS = (".txt", ".csv", ".npy", ".npz", ".png")
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _DIGITS_NS = {10: 1_000_000_000, 13: 1_000_000, 16: 1_000, 19: 1}
 
 
-def clouds_in(folder: Path) -> list[Path]:
-    """The clouds of a folder in order; of several formats those of the most common."""
-    return _chosen(folder)[0]
-
-
-def _chosen(folder: Path) -> tuple[list[Path], list[str]]:
-    """The clouds of a folder in order, and a note of what else there is that could be clouds."""
-    for place in (folder, *(folder / name for name in _INSIDE)):
+def clouds_in(folder: Path) -> tuple[list[Path], list[str]]:
+    """The clouds of a folder in order, of several formats those of the most common, and a note of the others."""
+    for place in (folder / name for name in ("", "velodyne", "velodyne_points/data", "clouds", "scans")):
         if not place.is_dir():
             continue
         files = (entry for entry in place.iterdir() if entry.is_file() and entry.name not in _NOT_CLOUDS)
@@ -77,7 +70,7 @@ def read_cloud_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     The poses that they tell themselves are those of `sensor`, which is called `name` in the rig; `odometry` is a TUM or
     KITTI file in place of what the folder has.
     """
-    paths, notes = _chosen(folder)
+    paths, notes = clouds_in(folder)
     for path in paths:
         weigh_cloud(path)
     posed_by, moved_by = first_file(folder, _POSES), odometry or first_file(folder, _ODOMETRY)
@@ -154,7 +147,7 @@ def _stamps(folder: Path, paths: list[Path], clocks: list[Trajectory]) -> tuple[
 
 def _time_in(stem: str) -> int | None:
     """The time that a name tells, ns."""
-    numbers = _NUMBER.findall(stem)
+    numbers = re.findall(r"\d+(?:\.\d+)?", stem)
     if len(numbers) != 1:
         return None
     (word,) = numbers
@@ -177,7 +170,7 @@ def _odometry(
 
 def has_clouds(folder: Path, *, surely: bool) -> bool:
     """Whether a folder is one of clouds; `surely`: of a format that nothing else comes in."""
-    found = clouds_in(folder)
+    found, _ = clouds_in(folder)
     return bool(found) and not (surely and found[0].suffix.lower() in _AMBIGUOUS)
 
 
@@ -188,7 +181,12 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
     Points and times read back as they were, rotations to rounding error. Equal logs give equal bytes. A ValueError
     refuses logs of no 3D scan, 2D scans or two sensors, or of some scans with a pose of the robot and some without.
     """
-    folder, scans = Path(folder), _scans(log)
+    folder, scans = Path(folder), [scan for scan in log.scans() if isinstance(scan, CloudScan)]
+    names = {scan.sensor for scan in log.scans()}
+    if len(scans) != len(log.scans()) or len(names) != 1:
+        raise ValueError(f"log: expected scans of one 3D sensor, got those of {', '.join(sorted(names)) or 'none'}")
+    if len({scan.world_T_body is None for scan in scans}) != 1:
+        raise ValueError("log: expected a pose of the robot with every scan or with none, got some")
     (folder / "clouds").mkdir()
     for index, scan in enumerate(scans):
         write_pcd(folder / "clouds" / f"{index:06d}.pcd", scan.points)
@@ -199,14 +197,3 @@ def write_cloud_folder(log: Log, folder: Path | str) -> None:
     for name, (times, poses) in (("odometry.tum", driven), ("poses.tum", told)):
         if poses:
             write_tum(folder / name, Trajectory(np.array(times, dtype=np.int64), np.array(poses)))
-
-
-def _scans(log: Log) -> list[CloudScan]:
-    """The 3D scans of the one sensor there is."""
-    scans = log.scans()
-    clouds, names = [scan for scan in scans if isinstance(scan, CloudScan)], {scan.sensor for scan in scans}
-    if len(clouds) != len(scans) or len(names) != 1:
-        raise ValueError(f"log: expected scans of one 3D sensor, got those of {', '.join(sorted(names)) or 'none'}")
-    if len({scan.world_T_body is None for scan in clouds}) != 1:
-        raise ValueError("log: expected a pose of the robot with every scan or with none, got some")
-    return clouds

@@ -149,7 +149,7 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
 def _rig_of_clouds(folder: Path) -> Rig:
     """For clouds nobody describes, by the first of them."""
     try:
-        return _rig_by_order(read_cloud(clouds_in(folder)[0]).points)
+        return _rig_by_order(read_cloud(clouds_in(folder)[0][0]).points)
     except LogError:  # a cloud that cannot be read is left out when its turn comes
         return rigs.cloud_rig()
 

@@ -58,7 +58,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_numbers_in_names_are_numbers(folder: Path):
-    assert [path.name for path in clouds_in(folder)] == ["scan 8.npy", "scan 9.npy", "scan 10.npy", "scan 11.npy"]
+    assert [path.name for path in clouds_in(folder)[0]] == ["scan 8.npy", "scan 9.npy", "scan 10.npy", "scan 11.npy"]
     log = folder_read(folder)
     assert [scan.stamp_ns for scan in log.scans()] == [k * SCAN_PERIOD_NS for k in range(4)]
     assert log.odometry == []
@@ -137,7 +137,7 @@ def test_kitti_layout(tmp_path: Path):
 def test_the_most_clouds_of_one_format_are_the_scans(folder: Path):
     for name, suffix in (("notes.txt", ".npy"), ("whole.ply", ".ply")):  # arrays may be anything, PLY files are clouds
         (folder / name).write_text("seen on Monday\n")
-        assert {path.suffix for path in clouds_in(folder)} == {suffix}
+        assert {path.suffix for path in clouds_in(folder)[0]} == {suffix}
 
 
 def test_what_a_mixed_folder_leaves_out_is_said(tmp_path: Path):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import factors
 from slam.errors import LogError
+from slam.geometry.frames import poses_of
 from slam.io.g2o.reader import read_g2o
 from slam.io.g2o.writer import _numbers, in_another_world, write_g2o
 from spplanes import Location, Plane, ScanLine
@@ -50,12 +51,6 @@ def g2o_pose_error(delta: np.ndarray) -> np.ndarray:
     return np.array([*delta[:3, 3], *quaternion[:3]])
 
 
-def transform_of(seven: np.ndarray) -> np.ndarray:
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = Rotation.from_quat(seven[3:]).as_matrix(), seven[:3]
-    return transform
-
-
 def g2o_chi2(path: Path) -> dict[str, float]:
     """Half the sum of e^T W e of a file by g2o's definitions, by type of edge."""
     poses, planes, result = {}, {}, {}
@@ -63,7 +58,7 @@ def g2o_chi2(path: Path) -> dict[str, float]:
         kind, *words = line.split()
         numbers = np.array(words, dtype=float) if not kind.startswith("#") else np.empty(0)
         if kind == "VERTEX_SE3:QUAT":
-            poses[words[0]] = transform_of(numbers[1:])
+            poses[words[0]] = poses_of(numbers[None, 1:])[0]
         elif kind == "VERTEX_PLANE":
             planes[words[0]] = numbers[1:5]
         elif kind.startswith("EDGE"):
@@ -74,7 +69,7 @@ def g2o_chi2(path: Path) -> dict[str, float]:
             else:
                 start = np.eye(4) if kind == "EDGE_SE3_PRIOR" else poses[words[0]]
                 end = poses[words[0]] if kind == "EDGE_SE3_PRIOR" else poses[words[1]]
-                error = g2o_pose_error(np.linalg.inv(transform_of(numbers[2:9])) @ np.linalg.inv(start) @ end)
+                error = g2o_pose_error(np.linalg.inv(poses_of(numbers[None, 2:9])[0]) @ np.linalg.inv(start) @ end)
             matrix = np.zeros((len(error), len(error)))
             matrix[np.triu_indices(len(error))] = numbers[-len(error) * (len(error) + 1) // 2 :]
             matrix += np.triu(matrix, 1).T

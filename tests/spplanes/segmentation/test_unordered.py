@@ -167,7 +167,7 @@ def test_angles_between_planes_of_a_real_hall_are_as_well_known_as_is_said():
     clouds = np.linspace(0, 19, 7).astype(int)
     rows = np.loadtxt(needs("balm_hall/lidar_odometry.tum"))
     poses = poses_of(rows[clouds, 1:])
-    files = clouds_in(DATA / "balm_hall")
+    files, _ = clouds_in(DATA / "balm_hall")
     planes = [segment_cloud(read_cloud(files[k]).points)[1] for k in clouds]
     seen = []
     for a, b in combinations(range(len(clouds)), 2):
