@@ -13,7 +13,7 @@ from slam.io.clouds import is_cloud_file, read_cloud
 from slam.io.clouds.cloud import grid_of
 from slam.io.clouds.depth import is_depth_folder, read_depth_folder
 from slam.io.plausibility import plausible
-from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag, sensor_name
+from slam.io.rosbags.reader import Topics, is_rosbag, read_rosbag
 from slam.io.scan_files import first_file, with_odometry
 from slam.io.threedtk import is_3dtk_folder, is_3dtk_scan, read_3dtk
 from slam.io.threedtk import read_points as read_3dtk_points
@@ -136,14 +136,12 @@ def _load_bag(path: Path, rig: Rig | None, topics: Topics, keep_partial: bool) -
     if rig is None:
         log = read_rosbag(path, topics, keep_partial=keep_partial)
         return log, rigs.bag_rig(log, topics)
-    names = {sensor_name(sensor.record or name): name for name, sensor in rig.sensors.items()}
     given = {"body_frame": topics.body_frame} if topics.body_frame else {}
     if topics.odometry or topics.odometry_frame:
         given |= {"odometry_record": topics.odometry, "odometry_frame": topics.odometry_frame}
     rig = rig.model_copy(update=given)  # what is given stands in for what the rig says, for a resumed run too
-    wanted = Topics(topics.scans or tuple(names), rig.odometry_record, rig.odometry_frame, rig.body_frame)
-    grids = {name: grid for name, sensor in rig.sensors.items() if (grid := grid_of(sensor)) is not None}
-    return read_rosbag(path, wanted, names=names, grids=grids, keep_partial=keep_partial), rig
+    wanted = Topics(topics.scans, rig.odometry_record, rig.odometry_frame, rig.body_frame)
+    return read_rosbag(path, wanted, rig=rig, keep_partial=keep_partial), rig
 
 
 def _rig_of_clouds(folder: Path) -> Rig:

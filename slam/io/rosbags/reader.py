@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from slam.errors import KEEPS_THE_REST, LogError
+from slam.io.clouds.cloud import grid_of
 from slam.io.raw import in_short
 from slam.io.rosbags import _messages as ros
 from slam.io.rosbags._opening import kept_open, opened
@@ -19,6 +20,7 @@ from slam.io.rosbags._salvaged import SalvagedBag
 from slam.io.scan_files import in_order
 from slam.lazy import Spool
 from slam.sensors.log import Event, Log, OdometryReading, StoredCloud, StoredScan
+from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
 
@@ -64,19 +66,7 @@ def is_rosbag(path: Path) -> bool:
     return (path.is_file() and path.suffix in (".bag", ".mcap", ".db3")) or (path / "metadata.yaml").is_file()
 
 
-def sensor_name(topic: str) -> str:
-    """Name of the sensor of a topic where no rig gives one."""
-    return topic.strip("/")
-
-
-def read_rosbag(
-    path: Path,
-    topics: Topics | None = None,
-    *,
-    names: dict[str, str] | None = None,
-    grids: dict[str, Grid] | None = None,
-    keep_partial: bool = False,
-) -> Log:
+def read_rosbag(path: Path, topics: Topics | None = None, *, rig: Rig | None = None, keep_partial: bool = False) -> Log:
     """Read a bag: ROS 1 (.bag), ROS 2 (folder with metadata.yaml, .db3, .mcap).
 
     Times are those of the headers. Clouds stay in the bag until they are asked for. The body is the child frame of the
@@ -86,38 +76,43 @@ def read_rosbag(
     Args:
         path: the bag.
         topics: what to read; None: chosen as `Topics` says. A note says what was chosen and what else there is.
-        names: name of the sensor by topic without slashes at its ends; others have that of their topic.
-        grids: by name of the sensor, the range image of clouds that come without order; others: found in each.
+        rig: names of the sensors, which are read where no topics are told, and range images of clouds without order;
+            sensors that it does not have are called as their topics, without slashes at the ends.
         keep_partial: of a bag that breaks off, use what comes before.
     """
-    notes: list[str] = []
+    sensors = {} if rig is None else {_bare(one.record or name): (name, one) for name, one in rig.sensors.items()}
+    wanted, notes = topics or Topics(), []
     with opened(path, keep_partial) as reader:
         notes += [bag.note for bag in reader.readers if isinstance(bag, SalvagedBag)]
-        chosen = _choose(path, reader, topics or Topics(), notes)
+        chosen = _choose(path, reader, replace(wanted, scans=wanted.scans or tuple(sensors)), notes)
         found = _read(path, reader, chosen, notes, keep_partial)
     if not found.scans and not found.clouds:
         raise LogError(path, "expected scans in the bag, found none before its end")
     body, odometry = ros.odometry_of(path, found.moves, chosen.body_frame, notes)
-    mounted = {topic for topic in chosen.scans if sensor_name(topic) in (names or {})}
-    names = {topic: (names or {}).get(sensor_name(topic), sensor_name(topic)) for topic in chosen.scans}
+    told = {topic: sensors[_bare(topic)] for topic in chosen.scans if _bare(topic) in sensors}
+    names = {topic: told[topic][0] if topic in told else _bare(topic) for topic in chosen.scans}
     events: list[Event] = list(starmap(OdometryReading, odometry))
     ranges = {"ranges": lambda row: found.spool.get(*found.scans[row][-1])}
     for row, (stamp, topic, angles, _) in enumerate(found.scans):
         events.append(StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row))
     for stamp, topic, received in found.clouds:
-        read = partial(_cloud_at, path, topic, (grids or {}).get(names[topic]), keep_partial)
+        read = partial(_cloud_at, path, topic, grid_of(told[topic][1]) if topic in told else None, keep_partial)
         events.append(StoredCloud({"stamp_ns": stamp, "sensor": names[topic]}, {"points": read}, received))
-    return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, mounted))
+    return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, told))
+
+
+def _bare(topic: str) -> str:
+    return topic.strip("/")
 
 
 def _choose(path: Path, reader: Any, wanted: Topics, notes: list[str]) -> Topics:
     """The topics that are read, and a note of them."""
     kinds = {topic: info.msgtype for topic, info in reader.topics.items()}
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
-    by_name = {sensor_name(topic): topic for topic in kinds}
+    by_name = {_bare(topic): topic for topic in kinds}
     wanted = Topics(
-        tuple(by_name.get(sensor_name(topic), topic) for topic in wanted.scans),
-        wanted.odometry and by_name.get(sensor_name(wanted.odometry), wanted.odometry),
+        tuple(by_name.get(_bare(topic), topic) for topic in wanted.scans),
+        wanted.odometry and by_name.get(_bare(wanted.odometry), wanted.odometry),
         *(frame and frame.lstrip("/") for frame in (wanted.odometry_frame, wanted.body_frame)),
     )
     usable = {kind: [t for t in sorted(kinds, key=lambda t: (-counts[t], t)) if kinds[t] == kind] for kind in _KINDS}
