@@ -37,11 +37,18 @@ def read_pcd(path: Path) -> Cloud:
     A VIEWPOINT that is not the identity is where the sensor was in the frame of the points: the points go into the
     sensor's frame and it becomes `world_T_sensor`.
     """
-    header = read_header(path)
-    points = _points_of(path, header)
-    if header.height > 1:
-        points = points.reshape(header.height, -1, 3)
-    pose = header.world_T_sensor
+    table, height, pose, data = read_header(path)
+    if data == "binary":
+        points = table.unpacked(path)
+    elif data == "ascii":
+        points = table.parsed(path, read_bytes(path, table.start), "points")
+    else:  # field after field: all x, then all y and so on
+        kind, count = table.dtype, table.count
+        columns = _unpacked(path, read_bytes(path, table.start), count * kind.itemsize)
+        fields = [(kind[axis], kind.fields[axis][1]) for axis in "xyz"]  # type: ignore[index]  # it has them
+        points = points_of(path, *(np.frombuffer(columns, field, count, count * offset) for field, offset in fields))
+    if height > 1:
+        points = points.reshape(height, -1, 3)
     if pose is None:
         return checked(path, points)
     return checked(path, (points - pose[:3, 3]) @ pose[:3, :3], pose)
@@ -125,20 +132,6 @@ def _viewpoint(path: Path, words: list[str]) -> FloatArray | None:
         raise LogError(path, "expected a position and a unit quaternion in VIEWPOINT") from error
     is_identity = (x, y, z, qx, qy, qz) == (0.0,) * 6 and abs(qw) == 1.0
     return None if is_identity else pose
-
-
-def _points_of(path: Path, header: Header) -> FloatArray:
-    """Points in the order of the file, shape (N, 3)."""
-    table = header.table
-    if header.data == "binary":
-        return table.unpacked(path)
-    body = read_bytes(path, table.start)
-    if header.data == "ascii":
-        return table.parsed(path, body, "points")
-    count, kind = table.count, table.dtype
-    data = _unpacked(path, body, count * kind.itemsize)  # field after field: all x, then all y and so on
-    fields = [(kind[axis], kind.fields[axis][1]) for axis in "xyz"]  # type: ignore[index]  # it has them
-    return points_of(path, *(np.frombuffer(data, field, count, count * offset) for field, offset in fields))
 
 
 def _unpacked(path: Path, body: bytes, expected: int) -> bytes:
