@@ -6,7 +6,6 @@ import gzip
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +73,7 @@ def _events_of(rows: np.ndarray, times: np.ndarray, lasers: dict[int, TableScans
     tells_odometry = np.isfinite(rows["robot_pose"][:, 0]) & (np.isnan(rows["start"]) | (not own_odometry))
     readers = {number: {"ranges": laser.ranges, "world_T_body": laser.pose} for number, laser in lasers.items()}
     told = [rows[name].tolist() for name in ("name", "beams", "start", "step")]
-    pose = {"odom_T_body": partial(robot_pose, rows)}
+    pose = {"odom_T_body": lambda row: planar_transform(*rows["robot_pose"][row])}
     events: list[Event] = []
     for row, (time, number, *bearings) in enumerate(zip(times.tolist(), *told, strict=True)):
         if number in lasers:
@@ -232,14 +231,9 @@ class TableScans:
         """world_T_body of a record, shape (4, 4); None: it gives none."""
         record = self.rows[row]
         if np.isfinite(record["start"]):
-            return robot_pose(self.rows, row) if np.isfinite(record["robot_pose"][0]) else None
+            return planar_transform(*record["robot_pose"]) if np.isfinite(record["robot_pose"][0]) else None
         world_T_laser = planar_transform(*record["laser_pose"])
         return world_T_laser if self.mount is None else world_T_laser @ np.linalg.inv(self.mount)
-
-
-def robot_pose(rows: np.ndarray, row: int) -> FloatArray:
-    """Pose of the robot that a record gives, shape (4, 4)."""
-    return planar_transform(*rows[row]["robot_pose"])
 
 
 def write_carmen(log: Log, rig: Rig, path: Path | str) -> None:

@@ -147,22 +147,19 @@ def _read(path: Path, reader: Any, chosen: Topics, notes: list[str], keep_partia
     found = _Found(Spool(path), ros.Moves(chosen.odometry_frame))
     wanted = {*chosen.scans, chosen.odometry}
     connections = [c for c in reader.connections if c.topic in wanted or c.msgtype in ros.TF]
-    messages = reader.messages(connections)
-    while True:
-        topic = "the bag"
-        try:
-            connection, received, raw = next(messages)
+    topic = "the bag"
+    try:
+        for connection, received, raw in reader.messages(connections):
             topic = connection.topic
             _take(found, topic, received, reader.deserialize(raw, connection.msgtype))
-        except StopIteration:
-            return found
-        except LogError:  # no room for its scans
-            raise
-        except Exception as error:  # as in opened
-            if not keep_partial:
-                raise LogError(path, f"{topic}: {in_short(error)}; {KEEPS_THE_REST}") from error
-            notes.append(f"{topic} breaks off ({in_short(error)}); kept what came before")
-            return found
+            topic = "the bag"
+    except LogError:  # no room for its scans
+        raise
+    except Exception as error:  # as in opened
+        if not keep_partial:
+            raise LogError(path, f"{topic}: {in_short(error)}; {KEEPS_THE_REST}") from error
+        notes.append(f"{topic} breaks off ({in_short(error)}); kept what came before")
+    return found
 
 
 def _take(found: _Found, topic: str, received: int, message: Any) -> None:

@@ -279,9 +279,8 @@ BAD: dict[str, tuple[str, bytes, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_a_bad_cloud_is_one_sentence(case: str, tmp_path: Path):
-    name, data, sentence = BAD[case]
+@pytest.mark.parametrize(("name", "data", "sentence"), BAD.values(), ids=BAD)
+def test_a_bad_cloud_is_one_sentence(name: str, data: bytes, sentence: str, tmp_path: Path):
     path = tmp_path / f"folder with blanks é {name}"
     path.write_bytes(data)
     with pytest.raises(LogError, match=sentence) as caught:

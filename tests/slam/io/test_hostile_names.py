@@ -154,9 +154,8 @@ NO_LOGS = {
 }
 
 
-@pytest.mark.parametrize("case", NO_LOGS)
-def test_what_is_no_log(case: str, tmp_path: Path):
-    name, data, sentence = NO_LOGS[case]
+@pytest.mark.parametrize(("name", "data", "sentence"), NO_LOGS.values(), ids=NO_LOGS)
+def test_what_is_no_log(name: str, data: bytes, sentence: str, tmp_path: Path):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(LogError, match=sentence):
         load(tmp_path / name)

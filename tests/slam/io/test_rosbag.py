@@ -24,8 +24,6 @@ from tests.slam.commands import refused, run
 from tests.slam.io.bags import SECOND, Messages, write
 from tests.slam.io.test_cloud_folders import ROOM, pose, seen_from, walls_of
 
-KINDS = ["ros1", "sqlite3", "mcap", "db3 alone", "mcap alone"]
-PACKED = ("ros1 bz2", "ros1 lz4", "mcap zstd alone", "sqlite3 zstd messages", "sqlite3 zstd files")
 #: Where the lidar sits on the body.
 MOUNT = transform_from_rpy((0.2, -0.1, 0.4, 0.5, 0.0, 0.0))
 PATH = np.array([pose(0.4 * k, 0.1 * k, 0.1 * k) for k in range(4)])
@@ -44,7 +42,7 @@ def mission(messages: Messages, organised: bool = False, columns: int = 360):
         yield "/lidar/points", stamp + 2, cloud
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap", "db3 alone", "mcap alone"])
 def test_a_mission_in_every_kind_of_bag(kind: str, tmp_path: Path):
     path = write(tmp_path, kind, mission)
     assert is_rosbag(path)
@@ -283,9 +281,8 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_clouds_name_their_topic(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    change, sentence = WRONG[case]
+@pytest.mark.parametrize(("change", "sentence"), WRONG.values(), ids=WRONG)
+def test_wrong_clouds_name_their_topic(change: dict, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = write(tmp_path, "ros1", lambda m: [("/p", SECOND, m.cloud(SECOND, np.ones((9, 3)), **change))])
     said = refused(capsys, "slam", path, "--out", tmp_path / "out")
     assert f"run 1 ü.bag: /p: {sentence}" in said.replace("   ", " ")
@@ -340,7 +337,9 @@ def test_other_files_with_the_name_of_a_bag(tmp_path: Path):
         load(tmp_path)
 
 
-@pytest.mark.parametrize("kind", PACKED)
+@pytest.mark.parametrize(
+    "kind", ["ros1 bz2", "ros1 lz4", "mcap zstd alone", "sqlite3 zstd messages", "sqlite3 zstd files"]
+)
 def test_what_grows_out_of_proportion_is_refused(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(raw, "HARMLESS_BYTES", 1000)
     path = write(tmp_path, kind, mission)
