@@ -82,8 +82,12 @@ def read_cloud_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     world_T_body = None if poses is None else scans.poses(posed_by or folder, poses)
     grid = grid_of(sensor)
     events = scans.events(name, lambda path: arrange(read_cloud(path).points, grid), world_T_body)
-    if moved_by is not None and moves is not None:
-        events += _odometry(moved_by, moves, scans, must_reach=odometry is not None)
+    if isinstance(moves, Trajectory) and timed:
+        if odometry is not None:
+            check_reach(odometry, moves, stamps)
+        events += map(OdometryReading, moves.stamps_ns.tolist(), moves.poses)
+    elif moved_by is not None and moves is not None:
+        events += map(OdometryReading, stamps, scans.in_order(moved_by, moves))
     if odometry is not None:
         notes.append(taken_from(odometry, len(events) - len(paths)))
     elif world_T_body is not None and moved_by is None:
@@ -156,16 +160,6 @@ def _time_in(stem: str) -> int | None:
             return nanoseconds(word)
         return None
     return int(word) * _DIGITS_NS[len(word)] if len(word) in _DIGITS_NS and word[0] != "0" else None
-
-
-def _odometry(
-    path: Path, rows: Trajectory | FloatArray, scans: ScanFiles, *, must_reach: bool
-) -> list[OdometryReading]:
-    if not (isinstance(rows, Trajectory) and scans.timed):
-        return list(map(OdometryReading, scans.stamps, scans.in_order(path, rows)))
-    if must_reach:
-        check_reach(path, rows, scans.stamps)
-    return list(map(OdometryReading, rows.stamps_ns.tolist(), rows.poses))
 
 
 def has_clouds(folder: Path, *, surely: bool) -> bool:
