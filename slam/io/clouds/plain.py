@@ -128,9 +128,8 @@ def _head(lines: list[bytes]) -> tuple[int, list[str], int | None]:
         text = raw.strip()
         if not text:
             continue
-        words = (
-            text.lstrip(b"#/ ").decode("ascii", errors="replace").replace(",", " ").replace(";", " ").lower().split()
-        )
+        bare = text.lstrip(b"#/ ").translate(bytes.maketrans(b",;", b"  "))
+        words = bare.decode("ascii", errors="replace").lower().split()
         if text.startswith((b"#", b"//")):
             names = words if {"x", "y", "z"} <= set(words) else names
         elif not names and {"x", "y", "z"} <= set(words):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
 
@@ -16,12 +17,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from spplanes._check import FloatArray
 
-TF = "tf2_msgs/TFMessage"
+TF = "tf2_msgs/msg/TFMessage"
 SECOND = 1_000_000_000
-
-
-def _full(kind: str) -> str:
-    return kind.replace("/", "/msg/")
 
 
 class Messages:
@@ -30,11 +27,11 @@ class Messages:
     def __init__(self, ros1: bool) -> None:
         self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
         if ros1:
-            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _full(TF)))
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
         self.types, self.ros1 = self.store.types, ros1
 
     def make(self, kind: str, **values: Any) -> Any:
-        return self.types[_full(kind)](**values)
+        return self.types[kind.replace("/", "/msg/")](**values)
 
     def header(self, stamp_ns: int, frame: str) -> Any:
         seconds, rest = divmod(stamp_ns, SECOND)
@@ -42,8 +39,6 @@ class Messages:
         return self.make("std_msgs/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self.ros1 else {}))
 
     def _turn(self, transform: FloatArray) -> Any:
-        from scipy.spatial.transform import Rotation
-
         x, y, z, w = Rotation.from_matrix(transform[:3, :3]).as_quat().tolist()
         return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
@@ -64,7 +59,7 @@ class Messages:
         shift, header = self._xyz("Vector3", transform), self.header(stamp_ns, parent)
         inside = self.make("geometry_msgs/Transform", translation=shift, rotation=self._turn(transform))
         one = self.make("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=inside)
-        return self.make(TF, transforms=[one])
+        return self.types[TF](transforms=[one])
 
     def scan(self, stamp_ns: int, ranges: FloatArray, frame: str = "laser", **other: float) -> Any:
         angles = {"angle_min": -1.5, "angle_max": 1.5, "angle_increment": 3.0 / (len(ranges) - 1)}

@@ -275,6 +275,7 @@ BAD: dict[str, tuple[str, bytes, str]] = {
     "npz cut": ("c.npz", npz(points=POINTS)[:-40], "expected an array in numpy's format"),
     "npz of several": ("c.npz", npz(a=POINTS, b=POINTS), "expected an array 'points' or only one array, got 'a, b'"),
     "npz bomb": ("c.npz", zip_bomb(), "bytes that grow to 2047 MiB or more: refused"),
+    "e57 other": ("c.e57", b"PK\x03\x04" + bytes(99), "expected an E57 file, got one that does not begin like one"),
     "unknown": ("c.doc", b"x", "expected a cloud .*, got the ending '.doc'"),
 }
 

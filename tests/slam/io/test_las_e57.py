@@ -91,12 +91,6 @@ def test_e57_of_several_scans_is_a_log(tmp_path: Path, capsys: pytest.CaptureFix
     assert all(isinstance(scan, CloudScan) and scan.points.shape == (32, 360, 3) for scan in log.scans())
 
 
-def test_what_is_no_e57(tmp_path: Path):
-    (tmp_path / "a.e57").write_bytes(b"PK\x03\x04" + bytes(99))
-    with pytest.raises(LogError, match="expected an E57 file, got one that does not begin like one"):
-        read_cloud(tmp_path / "a.e57")
-
-
 @pytest.mark.parametrize(
     ("package", "name", "sentence"),
     [
