@@ -31,7 +31,7 @@ from slam.mapping.observability import Observability, OpenStretch
 from slam.mapping.same_plane import SamePlaneFinder
 from slam.session.explanations import change_sentences, decision_sentence
 from slam.session.prior_map import PriorMap
-from slam.session.replay import Places, Recorder, SecondPass, open_slam
+from slam.session.replay import Places, Recorder, open_slam
 from slam.timing import StageClock, timed
 from slam.tracking.prediction import MotionModel, Prediction, StartPose
 from spplanes._check import FloatArray
@@ -89,8 +89,7 @@ class PlaneSlam:
             prior.plant(self.landmarks, self.backend)
             start = StartPose(prior.world_T_start, prior.start_covariance)
         self.recorder = recorder or Recorder()
-        self.keyframes = self.recorder.keyframes()
-        self.decisions = self.recorder.decisions()
+        self.keyframes, self.decisions = self.recorder.keyframes, self.recorder.decisions
         self._sparsifier = Sparsifier(self.config.thinning, self.backend, self.landmarks)
         state = EstimatorState(self.keyframes, self.landmarks, self.backend, self._sparsifier, self.config)
         self._motion_model = MotionModel(state, start)
@@ -240,15 +239,8 @@ class PlaneSlam:
             prior: the map to localise in, and where in it the first keyframe is.
             progress: is told how many keyframes are done, and how many there are.
         """
-        recorder = SecondPass(self.recorder, len(self.keyframes))
-        slam = type(self)(
-            self.config,
-            prior=prior,
-            recorder=recorder,
-            segment=self.segment,
-            associate=self._associate,
-            loop_closer=self._loop_closer,
-        )
+        parts = {"segment": self.segment, "associate": self._associate, "loop_closer": self._loop_closer}
+        slam = type(self)(self.config, prior=prior, **parts)
         slam.clock = slam.backend.clock = self.clock
         for index, keyframe in enumerate(self.keyframes):
             slam.add_keyframe(replace(keyframe, places=places[index]) if index in places else keyframe)

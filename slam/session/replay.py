@@ -39,13 +39,10 @@ class Recorder:
     Whatever these methods raise ends `add_keyframe` before the graph has used what they were told.
     """
 
-    def keyframes(self) -> list[Keyframe] | Growing[Keyframe]:
-        """Where the estimator keeps its keyframes: in memory."""
-        return []
-
-    def decisions(self) -> list[list[Decision]] | Growing[list[Decision]]:
-        """Where the estimator keeps its decisions: in memory."""
-        return []
+    def __init__(self) -> None:
+        #: Where the estimator keeps its keyframes and its decisions: in memory.
+        self.keyframes: list[Keyframe] | Growing[Keyframe] = []
+        self.decisions: list[list[Decision]] | Growing[list[Decision]] = []
 
     def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
         """The measurements of a keyframe, before anything is done with them; returns those to work with."""
@@ -61,22 +58,6 @@ class Recorder:
         """Nothing more will come."""
 
 
-class SecondPass(Recorder):
-    """Listens to the `count` keyframes that `first` has, as they are matched anew; of those that follow it tells it."""
-
-    def __init__(self, first: Recorder, count: int) -> None:
-        self._first, self._count = first, count
-
-    def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
-        """Those that are known stay as they are."""
-        return keyframe if index < self._count else self._first.measured(index, keyframe)
-
-    def decided(self, index: int, decisions: Sequence[Decision]) -> None:
-        """Nothing is kept before the first recorder is told that all of it counts."""
-        if index >= self._count:
-            self._first.decided(index, decisions)
-
-
 class SessionRecorder(Recorder):
     """Commits what it is told; of keyframes that the session has already it checks that they come out the same.
 
@@ -90,17 +71,12 @@ class SessionRecorder(Recorder):
     def __init__(
         self, session: Session, *, log: Log | None = None, raw: RawScans = "reference", forget: bool = False
     ) -> None:
+        super().__init__()
         self.session = session
         self._by_value, self._forget = raw == "value", forget
         self._places = {} if log is None else {id(event): place for place, event in enumerate(log.events)}
-
-    def keyframes(self) -> list[Keyframe] | Growing[Keyframe]:
-        """In memory, or each read anew from the session when somebody looks at its measurements."""
-        return ForgottenKeyframes(self.session) if self._forget else []
-
-    def decisions(self) -> list[list[Decision]] | Growing[list[Decision]]:
-        """In memory, or read from the session when somebody looks at them."""
-        return ForgottenDecisions(self.session) if self._forget else []
+        if forget:
+            self.keyframes, self.decisions = ForgottenKeyframes(session), ForgottenDecisions(session)
 
     def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
         """Commit measurements, or find them committed."""
