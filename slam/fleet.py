@@ -269,7 +269,7 @@ def _map(order: Order, folder: Path) -> None:
     with scratch_folder(folder) as work:
         made = work / "run"
         source = Source(order.log, order.keep_partial, assumed=tuple(log.assumed))
-        with new_run(made, log, sensors, order.config, source, prior=None, overwrite=False) as slam:
+        with new_run(made, log, sensors, order.config, source, prior=None, overwrite=False) as (slam, *_):
             run = run_slam(log, sensors, order.config, slam=slam)
             finished = FinishedMission.of(order.name, run.slam, sensors)
             conclude(run, made, lambda into: write_run(run, into, title=f"spplanes fleet {order.name}"))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
@@ -14,7 +15,10 @@ from slam.cli._output import hint_of, progress_bar, say, say_verdict, show, show
 
 if TYPE_CHECKING:
     from slam.config import SlamConfig
-    from slam.runs.slam_run import Run
+    from slam.planeslam import PlaneSlam
+    from slam.sensors.log import Log
+    from slam.sensors.rig import Rig
+    from slam.timing import StageClock
 
 
 @of_options
@@ -35,7 +39,6 @@ def _begin(options: SlamOptions) -> None:
     log, rig, config, clock = open_job(options.log, out, options)
     from slam.frontend.keyframes import keyframes_of
     from slam.output.run_folder import Source, new_run
-    from slam.runs.slam_run import run_slam
     from slam.session.prior_map import read_prior
 
     config = _with_strictness(config, options)
@@ -45,28 +48,14 @@ def _begin(options: SlamOptions) -> None:
         known = read_prior(options.prior, start, sigma, lambda: next(keyframes_of(log, rig, config)))
     raw = "value" if options.keep_raw else "reference"
     source = Source(options.log, options.keep_partial, raw, options.forget_raw, options.odometry, tuple(log.assumed))
-    with (
-        hint_of(out),
-        new_run(out, log, rig, config, source, prior=known, overwrite=options.overwrite) as slam,
-        progress_bar("keyframes") as progress,
-    ):
-        run = run_slam(log, rig, config, slam=slam, clock=clock, progress=progress, **_how(options))
-        del slam  # as large as the run's own, which another is where it was repaired
-        _conclude(run, out, options)
-    say_verdict(run.verdict, strict=options.strict_verdict)
+    begun = new_run(out, log, rig, config, source, prior=known, overwrite=options.overwrite)
+    _go_on(begun, out, clock, options)
 
 
 def _with_strictness(config: SlamConfig, options: SlamOptions) -> SlamConfig:
     if not options.strict:
         return config
     return config.model_copy(update={"keyframes": config.keyframes.model_copy(update={"strict": True})})
-
-
-def _how(options: SlamOptions) -> dict[str, Any]:
-    """Arguments of `run_slam` that a run is given each time it goes on."""
-    from slam.ahead import cores
-
-    return {"batch": options.batch, "repair": not options.no_repair, "jobs": options.jobs or cores()}
 
 
 #: Options that go with --resume: all others are as the run began.
@@ -87,40 +76,43 @@ def _resume(options: SlamOptions) -> None:
     clock = StageClock()  # before the imports below: whoever waits for the command waits for them too
     check_folder_given(folder)
     from slam.output.run_folder import FinishedAlready, resumed_run
-    from slam.runs.slam_run import run_slam
     from slam.session.store import salvage_session
 
     if options.salvage:
         say(salvage_session(folder))
     try:
-        with hint_of(folder), clock.stage("replay"), resumed_run(folder, log) as (slam, read, rig):
-            with progress_bar("keyframes") as progress:
-                config = _with_strictness(slam.config, options)
-                run = run_slam(read, rig, config, slam=slam, clock=clock, progress=progress, **_how(options))
-            del slam
-            _conclude(run, folder, options)
+        with clock.stage("replay"):
+            _go_on(resumed_run(folder, log), folder, clock, options)
     except FinishedAlready as sentence:
         say(sentence)
-    else:
-        say_verdict(run.verdict, strict=options.strict_verdict)
 
 
-def _conclude(run: Run, folder: Path, options: SlamOptions) -> None:
-    """Write the results of a run into its folder; its table, what was assumed and what to know on the screen."""
+def _go_on(
+    begun: AbstractContextManager[tuple[PlaneSlam, Log, Rig]], folder: Path, clock: StageClock, options: SlamOptions
+) -> None:
+    """Bring a run to its end, with its results in its folder, and say what it came to and what was assumed for it."""
+    from slam.ahead import cores
     from slam.output.run_files import write_run
     from slam.output.run_folder import conclude
     from slam.output.run_metrics import assumptions_of, metrics_of, warnings_of
+    from slam.runs.slam_run import run_slam
 
-    name = run.log.source.name
-    with run.clock.stage("write"):
-        conclude(run, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
-    rows = metrics_of(run)
-    warn_of(warnings_of(run))
-    for sentence in assumptions_of(run.log):
-        say(f"assumed: {sentence}")
-    for repair in run.repairs or ():
-        say(repair.sentence)
-    show_result(name, rows, run.clock, folder, as_json=options.as_json, timings=options.timings)
+    how = {"batch": options.batch, "repair": not options.no_repair, "jobs": options.jobs or cores()}
+    with hint_of(folder), begun as (slam, log, rig), progress_bar("keyframes") as progress:
+        config = _with_strictness(slam.config, options)
+        run = run_slam(log, rig, config, slam=slam, clock=clock, progress=progress, **how)
+        del slam  # as large as the run's own, which another is where it was repaired
+        name = log.source.name
+        with clock.stage("write"):
+            conclude(run, folder, lambda work: write_run(run, work, title=f"spplanes slam {name}"))
+        rows = metrics_of(run)
+        warn_of(warnings_of(run))
+        for sentence in assumptions_of(log):
+            say(f"assumed: {sentence}")
+        for repair in run.repairs or ():
+            say(repair.sentence)
+        show_result(name, rows, clock, folder, as_json=options.as_json, timings=options.timings)
+    say_verdict(run.verdict, strict=options.strict_verdict)
 
 
 @of_options

@@ -79,32 +79,38 @@ class FinishedAlready(SessionError):
 @contextmanager
 def new_run(
     out: Path, log: Log, rig: Rig, config: SlamConfig, source: Source, *, prior: PriorMap | None, overwrite: bool
-) -> Iterator[PlaneSlam]:
-    """An estimator that records into the new folder `out`.
+) -> Iterator[tuple[PlaneSlam, Log, Rig]]:
+    """An estimator that records into the new folder `out`, and what it is to be given: as of a `resumed_run`.
 
-    What fails before the first keyframe leaves nothing behind, and a folder that was to be replaced as it was; what
-    fails later, or is killed, leaves a session to go on with.
+    The folder appears with its session in it. What fails before the first keyframe leaves nothing behind, and a folder
+    that was to be replaced as it was; what fails later, or is killed, leaves a session to go on with.
     """
-    check_free(Path(out), overwrite=overwrite, reads=(source.path, source.odometry))
+    check_free(out, overwrite=overwrite, reads=(source.path, source.odometry))
     begun_with = {"rig": rig, "prior": None if prior is None else prior.to_bytes(), "log": source.as_json()}
-    with _fresh(Path(out), config, begun_with) as folder, Session.open(folder / SESSION_FILE) as session:
-        sync_folder(folder.parent)  # after the session is open: its own sync of the journal has done most of this
-        recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
-        yield PlaneSlam(config, prior=prior, recorder=recorder)
+    with scratch_folder(out) as work:
+        Session.make(work / SESSION_FILE, config, **begun_with)
+        replaced = put_in_place(work, out)
+    try:
+        with Session.open(out / SESSION_FILE) as session:
+            sync_folder(out.parent)  # after the session is open: its own sync of the journal has done most of this
+            recorder = SessionRecorder(session, log=log, raw=source.raw, forget=source.forget_raw)
+            yield PlaneSlam(config, prior=prior, recorder=recorder), log, rig
+    except BaseException:
+        if not _holds_keyframes(out):
+            shutil.rmtree(out, ignore_errors=True)
+            if replaced is not None:
+                os.replace(replaced, out)
+                replaced.parent.rmdir()
+        raise
 
 
 @contextmanager
 def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[tuple[PlaneSlam, Log, Rig]]:
     """The run of a folder in the state in which it ended, however it ended: estimator, log to go on with, rig.
 
-    The log may lie elsewhere by now, and it may have grown.
-
-    Raises:
-        FinishedAlready: there is nothing to go on with.
-        LogError: no folder.
-        SessionError: no session, a damaged one, or one in use; or another log.
+    The log may lie elsewhere by now, and it may have grown. FinishedAlready: there is nothing to go on with; LogError:
+    no folder; SessionError: no session, a damaged one, or one in use, or another log.
     """
-    folder = Path(folder)
     check_folder_given(folder)
     with Session.open(session_path(folder)) as session:
         if session.is_finished and not _is_open_to_repair(folder, session):
@@ -160,7 +166,7 @@ def conclude(run: Run, folder: Path, write: Callable[[Path], None]) -> None:
 def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:
     """The log must be the one that was, or one that has grown: then a keyframe of it is measured again."""
     known, now = session.log or {}, source.as_json()
-    if _print_of(known) == _print_of(now) and _print_of(known.get("odometry")) == _print_of(now["odometry"]):
+    if _prints_of(known) == _prints_of(now):
         return
     index = max(len(session) - 2, 0)
     again = next(keyframes_of(log, rig, session.config, index), None)
@@ -169,26 +175,9 @@ def _check_log(session: Session, source: Source, log: Log, rig: Rig) -> None:
     session.set_log(now)
 
 
-def _print_of(file: dict[str, Any] | None) -> tuple[object, object] | None:
-    """What tells one file from another, wherever it lies."""
-    return None if file is None else (file.get("bytes"), file.get("blake2b"))
-
-
-@contextmanager
-def _fresh(out: Path, config: SlamConfig, begun_with: dict[str, Any]) -> Iterator[Path]:
-    """A new folder that appears with its session in it; an old one of that name waits beside it until the end."""
-    with scratch_folder(out) as work:
-        Session.make(work / SESSION_FILE, config, **begun_with)
-        replaced = put_in_place(work, out)
-    try:
-        yield out
-    except BaseException:
-        if not _holds_keyframes(out):
-            shutil.rmtree(out, ignore_errors=True)
-            if replaced is not None:
-                os.replace(replaced, out)
-                replaced.parent.rmdir()
-        raise
+def _prints_of(source: dict[str, Any]) -> list[tuple[object, object]]:
+    """What tells a log and its odometry from others, wherever they lie."""
+    return [(file.get("bytes"), file.get("blake2b")) for file in (source, source.get("odometry") or {})]
 
 
 def _holds_keyframes(folder: Path) -> bool:

@@ -69,7 +69,7 @@ def write_office(folder: Path, seed: int, number: int) -> Path:
     """A run's folder, as `spplanes slam` leaves it, of every second scan."""
     given, log = visit(seed, number, replace(LEVEL, disturbance="half")), folder.with_suffix(".log")
     log.write_text(folder.name, encoding="utf-8")
-    with new_run(folder, given.log, given.rig, SlamConfig(), Source(log), prior=None, overwrite=False) as slam:
+    with new_run(folder, given.log, given.rig, SlamConfig(), Source(log), prior=None, overwrite=False) as (slam, *_):
         run = run_slam(given.log, given.rig, SlamConfig(), slam=slam)
         conclude(run, folder, lambda work: write_run(run, work, title=folder.name))
     return folder

@@ -6,7 +6,6 @@ import signal
 import sqlite3
 import time
 from collections import Counter
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -49,13 +48,11 @@ def prepare(folder: Path, scans: int) -> Job:
 
 def work(mission: Path, out: Path) -> None:
     """Run the mission, or go on with its run."""
-    with ExitStack() as stack:
-        if (out / SESSION_FILE).exists():
-            slam, log, rig = stack.enter_context(resumed_run(out))
-        else:
-            log, rig = load(mission)
-            run = new_run(out, log, rig, CONFIG, Source(mission), prior=None, overwrite=out.exists())
-            slam = stack.enter_context(run)
+    if (out / SESSION_FILE).exists():
+        begun = resumed_run(out)
+    else:
+        begun = new_run(out, *load(mission), CONFIG, Source(mission), prior=None, overwrite=out.exists())
+    with begun as (slam, log, rig):
         done = run_slam(log, rig, slam.config, slam=slam)
         conclude(done, out, partial(_results, done.slam))
 
