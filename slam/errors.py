@@ -56,12 +56,6 @@ def check_cloud_given(path: Path) -> None:
         raise LogError(path, "expected a file with a cloud, found none")
 
 
-def check_run_given(folder: Path) -> None:
-    """LogError: the folder has no planes of a run."""
-    if not (folder / "planes.json").is_file():
-        raise LogError(folder, "expected the folder of a run, found no planes.json in it")
-
-
 def check_folder_given(folder: Path) -> None:
     """LogError: no folder is there."""
     if not folder.is_dir():

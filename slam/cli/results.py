@@ -82,13 +82,11 @@ def export(
     overwrite: Annotated[bool, Option("--overwrite", help="Replace the file if it exists.")] = False,
 ) -> None:
     """Write planes, graph, trajectory or floor plan of RUN as files of other tools; --to may be repeated."""
-    from slam.errors import check_run_given
     from slam.output.export import check_target, export_run
-    from slam.session.opening import check_finished
+    from slam.session.opening import check_run_given
 
     for target in to:
         check_target(target, overwrite=overwrite)
-    check_finished(run)
     check_run_given(run)
     said: dict[str, None] = {}  # once for all files
     for target in to:
@@ -102,10 +100,8 @@ def view(
     rerun: Annotated[Path | None, Option(help="Also write a recording for Rerun, FILE.rrd.")] = None,
 ) -> None:
     """Draw RUN: plan, side view, uncertainty as PNG, and a page to turn and ask the map in a browser."""
-    from slam.errors import check_run_given
-    from slam.session.opening import check_finished
+    from slam.session.opening import check_run_given
 
-    check_finished(run)
     check_run_given(run)
     from slam.visualization.report import view_run
 
@@ -122,8 +118,9 @@ def import_(
     as_json: JsonOption = False,
 ) -> None:
     """Take an edited GRAPH back: planes.json, mesh and trajectory of the run as the graph has them."""
-    from slam.errors import check_file_given, check_run_given
+    from slam.errors import check_file_given
     from slam.files import check_free, new_folder
+    from slam.session.opening import check_run_given
 
     check_free(out, overwrite=overwrite, reads=(graph, run))
     check_run_given(run)

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slam.errors import LogError, MissingPackageError
+from slam.errors import MissingPackageError
 from slam.files import whole_file
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def export_run(run: Path | str, to: Path | str, *, overwrite: bool = False, leve
     if level:
         turned = levelled(stored)
         stored = stored if ending in _PLANS else turned  # these measure the run's own planes once more
-    with whole_file(to, overwrite=overwrite) as scratch:
+    with whole_file(to) as scratch:
         return _write(stored, ending, scratch)
 
 
@@ -92,12 +92,10 @@ def _write(run: StoredRun, ending: str, path: Path) -> list[str]:
 
 
 def _write_graph(run: StoredRun, path: Path) -> None:
-    source = run.folder / "graph.g2o"
-    if not source.is_file():
-        raise LogError(source, "expected the graph of a run with poses estimated, found none")
     from slam.io.g2o.reader import read_g2o
     from slam.io.g2o.writer import in_another_world
 
+    source = run.graph_file
     read = read_g2o(source)
     if run.moved_by is None:
         shutil.copyfile(source, path)

@@ -55,13 +55,10 @@ def import_graph(path: Path | str, run: Path | str, *, solve: bool = True) -> Im
             another run, or whose graph leaves poses or planes open.
     """
     path, stored = Path(path), StoredRun.read(run)
-    source = stored.folder / "graph.g2o"
-    if not source.is_file():
-        raise LogError(source, "expected the graph of a run with poses estimated, found none")
-    before, after = read_g2o(source), read_g2o(path)
+    before, after = read_g2o(stored.graph_file), read_g2o(path)
     shared = sorted(before.poses.keys() & after.poses.keys())
     if not shared:
-        raise LogError(path, f"expected poses with the vertex ids of {source}, found none")
+        raise LogError(path, f"expected poses with the vertex ids of {stored.graph_file}, found none")
     _check_origin(before, after, path, run)
     values, marginals = _solution(after, path, solve=solve)
     moved = _Moved(before, values, shared)

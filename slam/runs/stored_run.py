@@ -13,7 +13,7 @@ import shapely
 
 from factors.association.observations import Observation
 from slam.diagnostics.verdict import Verdict
-from slam.errors import LogError, check_run_given
+from slam.errors import LogError
 from slam.evaluation import Metric
 from slam.io.planes_json import read_map
 from slam.io.raw import damage_told, read_bytes
@@ -22,7 +22,7 @@ from slam.map.data_association import Decision
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam
 from slam.runs.history import History
-from slam.session.opening import SESSION_FILE, check_finished, session_path
+from slam.session.opening import SESSION_FILE, check_run_given, session_path
 from slam.session.store import Session
 from spplanes._check import FloatArray
 
@@ -52,6 +52,14 @@ class StoredRun:
     moved_by: FloatArray | None = None
     """Rigid motion (4, 4) from the world of the folder's files to the one of these values; None: it is the same."""
 
+    @property
+    def graph_file(self) -> Path:
+        """Its graph.g2o; LogError: a map at given poses has none."""
+        path = self.folder / "graph.g2o"
+        if not path.is_file():
+            raise LogError(path, "expected the graph of a run with poses estimated, found none")
+        return path
+
     @classmethod
     def read(cls, folder: Path | str) -> StoredRun:
         """Read a run's folder; view.json and odometry.tum may be missing.
@@ -59,7 +67,6 @@ class StoredRun:
         LogError: no folder, or a file of it that is missing or wrong; SessionError: a run that is not finished.
         """
         folder = Path(folder)
-        check_finished(folder)
         check_run_given(folder)
         history = History.read(folder / "view.json") if (folder / "view.json").exists() else History()
         odometry = read_tum(folder / "odometry.tum") if (folder / "odometry.tum").exists() else Trajectory.empty()

@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from slam.errors import LogError
 from slam.session._file import (
     SessionDamaged,
     SessionError,
@@ -214,9 +215,9 @@ def check_session_given(path: Path) -> None:
         raise SessionError(f"{path}: expected a session, found nothing")
 
 
-def is_unfinished(folder: Path | str) -> bool:
+def is_unfinished(folder: Path) -> bool:
     """Whether a folder holds a run that was interrupted, or that goes on now; in doubt it does not."""
-    path = Path(folder) / SESSION_FILE
+    path = folder / SESSION_FILE
     if not path.is_file():
         return False
     try:
@@ -228,7 +229,14 @@ def is_unfinished(folder: Path | str) -> bool:
         return False
 
 
-def check_finished(folder: Path | str) -> None:
+def check_finished(folder: Path) -> None:
     """SessionError: a folder holds a run that has no results yet; the sentence says how it gets them."""
-    if not (Path(folder) / "planes.json").is_file() and is_unfinished(folder):
+    if not (folder / "planes.json").is_file() and is_unfinished(folder):
         raise SessionError(f"{folder}: the run is not finished; go on with: spplanes slam --resume {folder}")
+
+
+def check_run_given(folder: Path) -> None:
+    """SessionError: the run in a folder is not finished; LogError: the folder has no planes of one."""
+    check_finished(folder)
+    if not (folder / "planes.json").is_file():
+        raise LogError(folder, "expected the folder of a run, found no planes.json in it")
