@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import cache
-from types import NoneType, UnionType
+from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -71,7 +71,7 @@ def _test(hint: Any) -> Test:
         return lambda value: isinstance(value, float | np.floating) or _is_whole(value)
     if getattr(hint, "_is_protocol", False):  # a measurement of the pose may be of a class of the caller's
         return lambda value: hasattr(value, "factor")
-    if hint in (str, bool, NoneType) or isinstance(hint, type):
+    if isinstance(hint, type):
         return lambda value: isinstance(value, hint)
     raise TypeError(f"a field of a record states {hint}, which nobody knows how to check")
 

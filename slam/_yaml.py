@@ -6,6 +6,7 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
 
@@ -32,7 +33,7 @@ class Frozen(BaseModel):
     def from_yaml(cls, path: Path | str) -> Self:
         """Read a file; anything wrong is a `LogError` whose one sentence names the file and the key."""
         path = Path(path)
-        data = read_yaml(path)
+        data = _plain_values(path)
         if not isinstance(data, dict | None):
             raise LogError(path, f"expected a mapping of keys to values, got {type(data).__name__}")
         try:
@@ -41,12 +42,8 @@ class Frozen(BaseModel):
             raise LogError(path, _first_problem(cls, error)) from error
 
 
-def read_yaml(path: Path) -> Any:
-    """What a file says.
-
-    Raises:
-        LogError: it cannot be read, is no YAML of plain values, or comes to too many of them.
-    """
+def _plain_values(path: Path) -> Any:
+    """What a file says; LogError: it cannot be read, is no YAML of plain values, or comes to too many of them."""
     try:
         loader = yaml.SafeLoader(path.read_text(encoding="utf-8"))
         node = loader.get_single_node()
@@ -99,14 +96,9 @@ def _keys_of(model: Any) -> dict[str, Any]:
 
 def _values_of(node: Any, known: dict[int, int]) -> int:
     """Values that a node comes to; one that holds itself comes to too many."""
-    found = known.get(id(node))
-    if found is not None:
-        return found
-    known[id(node)] = _MOST_VALUES + 1  # until all that is in it is counted
-    count = 1
-    if isinstance(node, yaml.SequenceNode):
-        count += sum(_values_of(one, known) for one in node.value)
-    elif isinstance(node, yaml.MappingNode):
-        count += sum(_values_of(one, known) for pair in node.value for one in pair)
-    known[id(node)] = count
-    return count
+    if id(node) not in known:
+        known[id(node)] = _MOST_VALUES + 1  # until all that is in it is counted
+        inside = node.value if isinstance(node, yaml.CollectionNode) else ()
+        ones = chain.from_iterable(inside) if isinstance(node, yaml.MappingNode) else inside
+        known[id(node)] = 1 + sum(_values_of(one, known) for one in ones)
+    return known[id(node)]

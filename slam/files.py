@@ -14,16 +14,13 @@ from slam.session.opening import is_unfinished
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
-    """A scratch file beside `path` that takes its place when the block ends well.
+def whole_file(path: Path) -> Iterator[Path]:
+    """A scratch file beside `path` that takes its place, whatever is there, when the block ends well.
 
-    Raises:
-        ValueError: `path` exists and may not be overwritten, is a folder, or lies where nothing can be written.
+    ValueError: `path` is a folder, or lies where nothing can be written.
     """
     if path.is_dir():
         raise ValueError(f"{path}: expected a file to write, got a folder")
-    if path.exists() and not overwrite:
-        raise ValueError(f"{path}: exists already; give --overwrite to replace it")
     scratch = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from slam.floorplan.plan import FloorPlan, Room, StoreyPlan
+from slam.floorplan.plan import FloorPlan, StoreyPlan
 from slam.floorplan.walls import Opening
 from slam.geometry.polygons import polygons_of
 from spplanes._check import FloatArray
@@ -101,7 +101,8 @@ def _drawing(number: int, plan: StoreyPlan, verdict: str | None) -> Drawing:
         for side in room.sides:
             ends = in_plan(side.start), in_plan(side.end)
             drawing.dimensions.append(Dimension("side", *ends, str(side.length), _INSIDE_M))
-        drawing.labels.append(Label(in_plan(room.middle), room_lines(place, room)))
+        height = () if room.height is None else (f"height {room.height} m",)
+        drawing.labels.append(Label(in_plan(room.middle), (room_name(place), f"{room.area} m2", *height)))
     for opening in plan.openings:
         said = [f"{name} {value}" for name, value in (("lintel", opening.height), ("sill", opening.sill)) if value]
         if said:
@@ -113,12 +114,6 @@ def _drawing(number: int, plan: StoreyPlan, verdict: str | None) -> Drawing:
 def room_name(number: int) -> str:
     """The name of a room of a storey."""
     return f"room {number + 1}"
-
-
-def room_lines(number: int, room: Room) -> tuple[str, ...]:
-    """What is written into a room."""
-    height = () if room.height is None else (f"height {room.height} m",)
-    return room_name(number), f"{room.area} m2", *height
 
 
 def _title(number: int, plan: StoreyPlan, verdict: str | None) -> str:
@@ -157,11 +152,7 @@ _STYLE = (
 
 def write_svg(path: Path, plan: FloorPlan, verdict: str | None = None) -> None:
     """Write the drawing of every storey; dashed lines are faces of walls whose other side was not seen."""
-    path.write_text(svg_of(drawings(plan, verdict)), encoding="utf-8")
-
-
-def svg_of(storeys: Sequence[Drawing]) -> str:
-    """The text of the picture."""
+    storeys = drawings(plan, verdict)
     sizes = [(b[2] - b[0], b[3] - b[1]) for b in (one.bounds for one in storeys)]
     width = max(w for w, _ in sizes) * _MM + 2.0 * _MARGIN
     height = sum(h * _MM + 2.0 * _MARGIN + _TITLE for _, h in sizes)
@@ -179,7 +170,7 @@ def svg_of(storeys: Sequence[Drawing]) -> str:
         parts += _storey(storey, corner)
         parts.append("</g>")
         top += deep * _MM + 2.0 * _MARGIN + _TITLE
-    return "\n".join([*parts, "</svg>\n"])
+    path.write_text("\n".join([*parts, "</svg>\n"]), encoding="utf-8")
 
 
 def _storey(storey: Drawing, corner: FloatArray) -> Iterator[str]:

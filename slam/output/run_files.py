@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -15,11 +14,13 @@ from matplotlib.figure import Figure
 from slam.config import SlamConfig
 from slam.errors import LogError
 from slam.evaluation import Metric
+from slam.files import whole_file
 from slam.frontend.measurement import returns_of
 from slam.geometry.frames import evenly, lift
 from slam.io.clouds.ply import write_ply_tables
 from slam.io.g2o.writer import write_g2o
 from slam.io.planes_json import write_planes
+from slam.io.raw import damage_told, read_bytes
 from slam.io.trajectories import Trajectory, write_tum
 from slam.output.run_metrics import details_of, map_metrics_of, metrics_of, timings_of
 from slam.runs.cloud_fit import FittedCloud
@@ -94,16 +95,10 @@ def write_result(
 
 
 def add_to_metrics(folder: Path, key: str, rows: Sequence[Metric]) -> None:
-    """Put a table into the metrics.json of a run, beside what is there; ValueError: that cannot be read and written."""
+    """Put a table into the metrics.json of a run, beside what is there; ValueError: that cannot be read or written."""
     path = folder / "metrics.json"
-    scratch = path.with_suffix(".json.new")
-    try:
-        write_json(scratch, {**json.loads(path.read_text(encoding="utf-8")), key: as_json(rows)})
-        os.replace(scratch, path)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read and written ({error.strerror})") from error
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: expected the metrics.json of a run, got something else") from error
+    with whole_file(path) as scratch, damage_told(path, "expected the metrics.json of a run, got something else"):
+        write_json(scratch, {**json.loads(read_bytes(path)), key: as_json(rows)})
 
 
 def as_json(rows: Sequence[Metric]) -> list[dict[str, Any]]:

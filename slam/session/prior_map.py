@@ -142,11 +142,6 @@ class PriorMap:
             raise CodecError(f"expected a prior map, got something else ({error})") from error
 
 
-def space_start(sigma_m: float, sigma_rad: float) -> FloatArray:
-    """Covariance (6, 6) of a start that is known to ``sigma_m`` and ``sigma_rad`` in all directions, off any floor."""
-    return np.diag(np.square(np.repeat([sigma_m, sigma_rad], 3)))
-
-
 def floor_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
     """Covariance (6, 6) of the start of a robot on the floor whose place is known to ``sigma_m`` and ``sigma_rad``."""
     sigmas = (sigma_m, sigma_m, _FLOOR_SIGMA_M, sigma_rad, _FLOOR_SIGMA_RAD, _FLOOR_SIGMA_RAD)
@@ -211,7 +206,7 @@ def read_prior(path: Path, start: str, sigma: str, first: Callable[[], Keyframe]
     pose = prior.world_T_start
     if pose[2, 3] == 0.0 and pose[2, 2] == 1.0:
         return prior
-    return replace(prior, start_covariance=space_start(*sigmas))
+    return replace(prior, start_covariance=np.diag(np.square(np.repeat(sigmas, 3))))  # off any floor
 
 
 def _numbers(name: str, text: str, *counts: int) -> list[float]:
