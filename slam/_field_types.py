@@ -19,10 +19,7 @@ def check_fields(name: str, value: Any) -> None:
     """Refuse a dataclass whose fields hold something else than it says.
 
     Whole numbers are of 64 bits; arrays are of real numbers, of any shape; where a tuple is stated a list will do. What
-    lies in a field and has fields of its own is not looked into.
-
-    Raises:
-        ValueError: the first such field.
+    lies in a field and has fields of its own is not looked into. A ValueError names the first field that is wrong.
     """
     for field, passes, wanted in _tests_of(type(value)):
         if not passes(getattr(value, field)):

@@ -39,11 +39,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(out: Path) -> Iterator[Path]:
-    """A hidden folder beside `out`, to be moved to its place; gone at the end unless it was.
-
-    Raises:
-        ValueError: the folder that `out` should lie in cannot be written.
-    """
+    """A hidden folder beside `out`, to be moved to its place, gone at the end unless it was. ValueError: none can."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
@@ -61,9 +57,7 @@ def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A folder that appears under its name only when everything in it is written.
 
     The work happens in a hidden folder beside it; when anything fails, that one goes and `out` is as it was.
-
-    Raises:
-        ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
+    ValueError: `out` exists and may not be overwritten, or the folder it should lie in cannot be written.
     """
     out = Path(out)
     check_free(out, overwrite=overwrite)
@@ -75,16 +69,9 @@ def new_folder(out: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def check_free(out: Path, *, overwrite: bool, reads: Iterable[Path | None] = ()) -> None:
-    """Refuse an output that exists, before any work is done for it.
+    """Refuse, before any work is done for it, an output folder that exists and may not be overwritten: a ValueError.
 
-    Args:
-        out: the folder.
-        overwrite: whether it may be replaced.
-        reads: files and folders that the work reads, None for one that was not given: who replaced a folder with one of
-            them in it would lose that.
-
-    Raises:
-        ValueError: it exists and may not be overwritten, or holds what is read.
+    So is one that holds what the work `reads` (None: not given), for who replaced the folder would lose that.
     """
     for given in reads:
         if given is not None and out.is_dir() and given.exists() and given.resolve().is_relative_to(out.resolve()):

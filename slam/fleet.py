@@ -101,9 +101,6 @@ def local_client(workers: int | None = None, memory: str = "auto") -> Client:
         workers: processes, of one thread each; None: one for each core.
         memory: that each may take, as Dask says it ("4GB"); "auto": its share of the machine's. A worker that goes
             beyond is ended and its tasks are done again elsewhere.
-
-    Raises:
-        ImportError: without Dask distributed.
     """
     dask, distributed = _dask()
     if workers is None and dask.config.get("scheduler-address", None):
@@ -120,22 +117,15 @@ def local_client(workers: int | None = None, memory: str = "auto") -> Client:
 
 
 def remote_client(address: str | None = None, scheduler_file: Path | None = None) -> Client:
-    """A client of a cluster that is there.
-
-    Raises:
-        ImportError: without Dask distributed.
-        ValueError: nobody answers there.
-    """
+    """A client of a cluster that is there; ValueError: nobody answers there."""
     _, distributed = _dask()
+    if scheduler_file is not None and not scheduler_file.is_file():  # Dask would wait for it
+        raise ValueError(f"{scheduler_file}: expected the file of a Dask scheduler, found nothing")
+    file = None if scheduler_file is None else str(scheduler_file)
     try:
-        if scheduler_file is not None:
-            if not scheduler_file.is_file():  # Dask would wait for it
-                raise ValueError(f"{scheduler_file}: expected the file of a Dask scheduler, found nothing")
-            return distributed.Client(scheduler_file=str(scheduler_file), timeout=_PATIENCE_S, set_as_default=False)
-        return distributed.Client(address, timeout=_PATIENCE_S, set_as_default=False)
+        return distributed.Client(address, scheduler_file=file, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, json.JSONDecodeError) as error:
-        where = address or scheduler_file
-        raise ValueError(f"{where}: expected the scheduler of a Dask cluster, got no answer") from error
+        raise ValueError(f"{address or file}: expected the scheduler of a Dask cluster, got no answer") from error
 
 
 def _dask() -> tuple[Any, Any]:

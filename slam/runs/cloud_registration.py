@@ -183,10 +183,6 @@ def read_guess(text: str) -> FloatArray:
         raise ValueError(f"--guess: expected X,Y,Z,YAW or a file that can be read, got {text!r}") from error
     except ValueError as error:
         raise LogError(path, "expected the numbers of one pose, got something else") from error
-    return _pose_of(path, numbers)
-
-
-def _pose_of(path: Path, numbers: FloatArray) -> FloatArray:
     pose = np.eye(4)
     if len(numbers) in (12, 16):
         pose[: len(numbers) // 4] = numbers.reshape(-1, 4)
@@ -251,7 +247,8 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
             ranked.append(one)
     chances = np.exp([one.log_likelihood - ranked[0].log_likelihood for one in ranked])
     rivals = [Rival(one.known_T_seen, float(p)) for one, p in zip(ranked, chances / chances.sum(), strict=True)][1:]
-    matched = [_one_to_one(pairs_under(one.known_T_seen, mine, theirs)) for one in ranked]
+    both = [pairs_under(one.known_T_seen, mine, theirs) for one in ranked]
+    matched = [min(len({i for i, _ in pairs}), len({j for _, j in pairs})) for pairs in both]  # pieces count once
     a_T_b = found.known_T_seen
     from_a, from_b = ScanView(known, np.array([0.0, 0.0, 1.0])), ScanView(scan, a_T_b[2, :3])
     looks = (compare(from_a, from_b, a_T_b), compare(from_b, from_a, inverse(a_T_b)))
@@ -275,8 +272,3 @@ def _hypotheses(a: Keyframe, b: Keyframe, guess: FloatArray | None) -> list[Floa
 def _are_one(place: FloatArray, other: FloatArray) -> bool:
     off = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(place) @ other))
     return bool(np.linalg.norm(off[3:]) < ABOUT_M and np.linalg.norm(off[:3]) < ABOUT_RAD)
-
-
-def _one_to_one(pairs: Sequence[tuple[int, int]]) -> int:
-    """How many planes are in both: pieces of one plane count once."""
-    return min(len({i for i, _ in pairs}), len({j for _, j in pairs}))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import gtsam
-import gtsam_unstable
 import numpy as np
 
 from factors import anchored_plane_jacobian, joint_covariance, landmark_hesse
@@ -22,6 +21,7 @@ from slam.runs.stored_run import StoredRun
 from spplanes import Plane
 from spplanes._check import FloatArray
 
+_SIGHTING = "EDGE_SE3_PLANE_CALIB"
 #: Two spellings of one pose or one plane differ by less: numbers of a file are exact, products of rotations are not.
 _SAME = 1e-6
 #: Of what two graphs measure between the same vertices this share has to be the same for both to be of one run ...
@@ -62,12 +62,15 @@ def import_graph(path: Path | str, run: Path | str, *, solve: bool = True) -> Im
     _check_origin(before, after, path, run)
     values, marginals = _solution(after, path, solve=solve)
     moved = _Moved(before, values, shared)
-    numbers, observers = _vertices_of(stored.planes, before), _observers(after.graph)
+    numbers, observers = _vertices_of(stored.planes, before), defaultdict(set)
+    for edge in after.edges:
+        if edge.kind == _SIGHTING:
+            observers[edge.ids[1]].add(edge.ids[0])
     planes = []
     for known in stored.planes:
         if (number := numbers.get(known.id)) in after.planes:
             key = after.planes[number]
-            motion = moved.beside(known.plane.centre, observers[key])
+            motion = moved.beside(known.plane.centre, observers[number])
             plane = _placed(known.plane, motion, values.atOrientedPlane3(key), marginals, key)
             planes.append(replace(known, plane=plane))
     trajectory = moved.trajectory(stored.trajectory)
@@ -82,11 +85,11 @@ class _Moved:
         self._old = np.array([before.values.atPose3(before.poses[number]).matrix() for number in shared])
         new = np.array([values.atPose3(before.poses[number]).matrix() for number in shared])
         self._motions = new @ np.linalg.inv(self._old)
-        self._rows = {before.poses[number]: row for row, number in enumerate(shared)}
+        self._rows = {number: row for row, number in enumerate(shared)}
 
-    def beside(self, place: FloatArray, keys: set[int]) -> FloatArray:
-        """Motion (4, 4) of the pose nearest to a place (3,), out of these if any of them is known."""
-        rows = sorted(self._rows[key] for key in keys if key in self._rows) or list(range(len(self._old)))
+    def beside(self, place: FloatArray, numbers: set[int]) -> FloatArray:
+        """Motion (4, 4) of the pose nearest to a place (3,), out of these vertices if any of them is known."""
+        rows = sorted(self._rows[one] for one in numbers & self._rows.keys()) or list(range(len(self._old)))
         distances = np.linalg.norm(self._old[rows, :3, 3] - place, axis=1)
         return self._motions[rows[int(np.argmin(distances))]]
 
@@ -107,7 +110,7 @@ def _check_origin(before: G2oGraph, after: G2oGraph, path: Path, run: Path | str
     Edges may have gone, come, or been given other numbers, yet most that are left between the same vertices measure
     what they did. Planes are asked first: runs of one log share their odometry.
     """
-    for kind in ("EDGE_SE3_PLANE_CALIB", "EDGE_SE3:QUAT"):
+    for kind in (_SIGHTING, "EDGE_SE3:QUAT"):
         known: dict[tuple[int, ...], list[FloatArray]] = defaultdict(list)
         for edge in before.edges:
             if edge.kind == kind:
@@ -153,15 +156,6 @@ def _vertices_of(planes: list[MapPlane], graph: G2oGraph) -> dict[int, int]:
         if gaps.min() < _SAME:
             found[known.id] = numbers[int(gaps.argmin())]
     return found
-
-
-def _observers(graph: gtsam.NonlinearFactorGraph) -> dict[int, set[int]]:
-    seen: dict[int, set[int]] = defaultdict(set)
-    for factor in (graph.at(i) for i in range(graph.size())):
-        if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):
-            pose, _, plane = factor.keys()
-            seen[plane].add(pose)
-    return seen
 
 
 def _placed(

@@ -104,9 +104,7 @@ def explain_keyframe(run: Path | str, keyframe: int) -> dict[str, Any]:
     """Replay a run's session, reading only, and explain a keyframe: its time, what became of each thing seen in
     sentences and in numbers, and what the keyframe changed in the map, as for JSON.
 
-    Raises:
-        SessionError: no session (runs of `demo` and `map` keep none), or a damaged one.
-        ValueError: no such keyframe; it is said before anything is replayed.
+    SessionError: no session (runs of `demo` and `map` keep none), or a damaged one; ValueError: no such keyframe.
     """
     with Session.open(session_path(run), read_only=True) as session:
         count = len(session)
@@ -165,10 +163,8 @@ def _turned(trajectory: Trajectory, turn: FloatArray) -> Trajectory:
 def stored_floor_plan(run: StoredRun) -> FloorPlan:
     """Replay the session of a run, reading only, and measure its map.
 
-    Raises:
-        LogError: no session (runs of `demo`, `map` and `import` keep none), one that does not lead to the run's
-            planes, or a map without a vertical plane.
-        SessionError: a damaged session.
+    LogError: no session (runs of `demo`, `map` and `import` keep none), one that does not lead to the run's planes, or
+    a map without a vertical plane; SessionError: a damaged session.
     """
     from slam.floorplan import floor_plan, joint_planes
 
