@@ -189,14 +189,11 @@ class Order:
     name: str
     """What it is called in the joined map."""
     log: Path
-    """The log, by a path that is the same on every worker."""
     rig: Rig | None
-    """With which sensors; None: the log's own, or a default."""
     config: SlamConfig
     store: Path
-    """Folder that keeps finished missions, the same on every worker."""
+    """Folder that keeps finished missions; its path and that of the log are the same on every worker."""
     keep_partial: bool = False
-    """Use what precedes a cut in the log."""
 
     def key(self) -> str:
         """Content address: by log, rig, configuration and version; OSError: the log cannot be read."""

@@ -52,9 +52,9 @@ def explain(
     as_json: Annotated[bool, Option("--json", help="Print decisions and their numbers as JSON.")] = False,
 ) -> None:
     """Say why each plane and line of a KEYFRAME of RUN was matched, or not, and what the keyframe changed."""
-    from slam.session.opening import check_session_given, session_path
+    from slam.session.opening import given_session
 
-    check_session_given(session_path(run))
+    given_session(run)
     from slam.runs.stored_run import explain_keyframe
 
     found = explain_keyframe(run, keyframe)

@@ -23,7 +23,7 @@ from slam.runs.slam_run import Run
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from slam.session._file import fingerprint, sync_folder
-from slam.session.opening import SESSION_FILE, session_path
+from slam.session.opening import SESSION_FILE
 from slam.session.prior_map import PriorMap, finished_map
 from slam.session.replay import RawScans, SessionRecorder, is_measured_again, resumed
 from slam.session.store import Session, SessionError
@@ -112,7 +112,7 @@ def resumed_run(folder: Path, log_path: Path | None = None) -> Iterator[tuple[Pl
     no folder; SessionError: no session, a damaged one, or one in use, or another log.
     """
     check_folder_given(folder)
-    with Session.open(session_path(folder)) as session:
+    with Session.open(folder) as session:
         if session.is_finished and not _is_open_to_repair(folder, session):
             raise FinishedAlready(f"{folder}: finished already; nothing is left to do")
         source = Source.of(session, log_path)

@@ -22,7 +22,7 @@ from slam.map.data_association import Decision
 from slam.map.map_planes import MapPlane
 from slam.planeslam import PlaneSlam
 from slam.runs.history import History
-from slam.session.opening import SESSION_FILE, check_run_given, session_path
+from slam.session.opening import SESSION_FILE, check_run_given
 from slam.session.store import Session
 from spplanes._check import FloatArray
 
@@ -106,7 +106,7 @@ def explain_keyframe(run: Path | str, keyframe: int) -> dict[str, Any]:
 
     SessionError: no session (runs of `demo` and `map` keep none), or a damaged one; ValueError: no such keyframe.
     """
-    with Session.open(session_path(run), read_only=True) as session:
+    with Session.open(run, read_only=True) as session:
         count = len(session)
     if not 0 <= keyframe < count:
         raise ValueError(f"keyframe: expected an index from 0 to {count - 1}, got {keyframe}")

@@ -50,12 +50,6 @@ _NUMBERS = {
     for one in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?", np.longdouble)
 }
 _LENGTH = struct.Struct("<I")
-#: Written as they are.
-_PLAIN = (bool, int, float, str, type(None))
-#: The fields of each class, in order.
-_FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _CLASSES.values()}
-
-
 #: What bytes that are none of ours may raise on their way into values.
 _WRONG_BYTES = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, struct.error),
@@ -119,13 +113,13 @@ class _Writer:
 
     def plain(self, value: Any) -> Any:
         kind = type(value)
-        if kind in _FIELDS:
+        if _CLASSES.get(kind.__name__) is kind:
             check_fields(kind.__name__, value)  # as the reader will: what it would refuse must not be written
-            content = {one: self.plain(getattr(value, one)) for one in _FIELDS[kind]}
+            content = {one.name: self.plain(getattr(value, one.name)) for one in fields(value)}
             return {"class": kind.__name__, "fields": content}
         if isinstance(value, np.ndarray):
             return {"array": self._array(value)}
-        if isinstance(value, _PLAIN):
+        if value is None or isinstance(value, int | float | str):
             return value
         if isinstance(value, np.generic):
             return self.plain(value.item())

@@ -76,22 +76,6 @@ def check_version(path: Path, connection: sqlite3.Connection) -> None:
         raise SessionError(f"{path}: expected a session of version {VERSION}, got {version}; use {other} spplanes")
 
 
-def check_structure(path: Path, connection: sqlite3.Connection) -> None:
-    """SQLite's own check of its pages: never write into a file that is broken."""
-    with translated(path):
-        problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-    if problem != "ok":
-        raise SessionDamaged(f"{path}: damaged ({' '.join(problem.split())[:120]})")
-
-
-@contextmanager
-def transaction(path: Path, connection: sqlite3.Connection) -> Iterator[None]:
-    """All or nothing, and on the disk when the block has ended."""
-    with translated(path), connection:
-        connection.execute("BEGIN IMMEDIATE")
-        yield
-
-
 def fold_journal(connection: sqlite3.Connection) -> bool:
     """Bring all that is in the journal into the file, synced, and make of it a file that needs none.
 

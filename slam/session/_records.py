@@ -42,9 +42,7 @@ class RawScan:
     """A raw scan behind a keyframe."""
 
     sensor: str
-    """Name of the sensor."""
     stamp_ns: int
-    """Time of the scan, ns."""
     position: int | None
     """Its place among the events of the log, counted from 0; None: it came from no log."""
     scan: LaserScan | CloudScan | None

@@ -8,15 +8,14 @@ import os
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from slam.errors import LogError
 from slam.session._file import (
     SessionDamaged,
     SessionError,
     StorageError,
-    check_structure,
     check_version,
     connect,
     create,
@@ -117,16 +116,12 @@ def _leave_to_parent() -> None:
 os.register_at_fork(after_in_child=_leave_to_parent)
 
 
-@dataclass(frozen=True)
-class OpenFile:
-    """A session's file in use."""
+class OpenFile(NamedTuple):
+    """A session's file in use: its connection, the writer's lock (None: only read), and what lets go of both."""
 
     connection: sqlite3.Connection
-    """To the database."""
     lock: int | None
-    """Handle of the writer's; None: it is only read."""
     opened: ExitStack
-    """What lets go of both; twice is once."""
 
 
 def make_file(path: Path, values: Mapping[str, bytes]) -> None:
@@ -164,8 +159,10 @@ def open_file(path: Path, *, read_only: bool, damaged: bool) -> OpenFile:
         connection = opened.enter_context(closing(connect(path, read_only=read_only)))
         check_version(path, connection)
         if not read_only:
-            check_structure(path, connection)
             with translated(path):
+                problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+                if problem != "ok":  # never write into a file that is broken
+                    raise SessionDamaged(f"{path}: damaged ({' '.join(problem.split())[:120]})")
                 connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("SELECT count(*) FROM session").fetchone()  # from here on there is a journal
             preallocate_journal(path)
@@ -209,10 +206,12 @@ def session_path(path: Path | str) -> Path:
     return path / SESSION_FILE if path.is_dir() else path
 
 
-def check_session_given(path: Path) -> None:
-    """SessionError: no file is there."""
+def given_session(path: Path | str) -> Path:
+    """The session file; SessionError: it is not there."""
+    path = session_path(path)
     if not path.is_file():
         raise SessionError(f"{path}: expected a session, found nothing")
+    return path
 
 
 def is_unfinished(folder: Path) -> bool:

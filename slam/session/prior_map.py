@@ -21,7 +21,6 @@ from slam.map.landmarks import Landmark, LandmarkMap
 from slam.map.map_planes import MapPlane
 from slam.registration.initial_pose import find_start
 from slam.session._codec import CodecError, decode, encode
-from slam.session.opening import session_path
 from slam.session.store import Session, SessionError
 from spplanes._check import FloatArray, as_covariance, as_transform, check_instance
 from spplanes.spmodel import transform_from_rpy
@@ -169,7 +168,7 @@ def map_covariance(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: 
 
 
 def _of_run(path: Path) -> tuple[list[MapPlane], FloatArray]:
-    with Session.open(session_path(path), read_only=True) as session:
+    with Session.open(path, read_only=True) as session:
         data = session.result("map")
     if data is None:
         raise SessionError(f"{path}: expected a finished run, got one that has no map yet")

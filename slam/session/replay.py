@@ -82,8 +82,6 @@ class SessionRecorder(Recorder):
         """Commit measurements, or find them committed."""
         if index < len(self.session):
             return keyframe
-        if self.session.read_only:
-            raise SessionError(f"{self.session.path}: opened to be read only")
         scans = [(self._places.get(id(scan)), encode(scan) if self._by_value else None) for scan in keyframe.scans]
         stored = self.session.add_keyframe(keyframe, scans)
         return stored if self._forget else replace(stored, scans=keyframe.scans)

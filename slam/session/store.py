@@ -22,11 +22,10 @@ from slam.session._file import (
     StorageError,
     digest,
     fold_journal,
-    transaction,
     translated,
 )
 from slam.session._records import Entry, Places, RawScan, SessionRecords
-from slam.session.opening import check_session_given, make_file, open_file, promise, put, session_path, writing
+from slam.session.opening import given_session, make_file, open_file, promise, put, session_path, writing
 from spplanes import __version__
 from spplanes._check import FloatArray
 
@@ -92,8 +91,7 @@ class Session(SessionRecords):
             SessionError: no such file, no session, another process writes it (and this one wants to).
             SessionDamaged: a checksum fails.
         """
-        path = session_path(path)
-        check_session_given(path)
+        path = given_session(path)
         found = open_file(path, read_only=read_only, damaged=damaged)
         try:
             return cls(path, found, damaged=damaged)
@@ -198,9 +196,11 @@ class Session(SessionRecords):
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
+        """All or nothing, and on the disk when the block has ended."""
         if self.read_only:
             raise SessionError(f"{self.path}: opened to be read only")
-        with transaction(self.path, self._db):
+        with translated(self.path), self._db:
+            self._db.execute("BEGIN IMMEDIATE")
             yield
 
 
@@ -210,8 +210,7 @@ def salvage_session(path: Path | str) -> str:
     Decisions, raw scans and parameters come along. A session without damage is left as it is. Returns a sentence on
     what was wrong and how many keyframes it has now; a SessionError where nothing of it can be read or others write it.
     """
-    path = session_path(path)
-    check_session_given(path)
+    path = given_session(path)
     try:
         with Session.open(path) as session:
             for _ in session.entries():

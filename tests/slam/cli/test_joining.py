@@ -12,7 +12,7 @@ from slam.io.g2o.reader import read_g2o
 from slam.io.planes_json import read_map
 from slam.io.trajectories import read_tum
 from slam.runs.stored_run import StoredRun
-from tests.slam.commands import refused, run
+from tests.slam.commands import refused, run, values_of
 from tests.slam.joining.missions import write_office
 
 
@@ -29,7 +29,7 @@ def test_join_writes_a_run_of_all_missions(runs: list[Path], tmp_path: Path, cap
     code, table, told = run(capsys, "join", *runs, "--out", out, "--json")
     assert code == 0, told
     assert "warning: elsewhere: overlaps with no other mission" in told
-    rows = {row["metric"]: row["value"] for row in json.loads(table)}
+    rows = values_of(json.loads(table))
     assert (rows["missions"], rows["pairs compared"], rows["components"]) == (3, 6, 2)
     stored = StoredRun.read(out)
     assert len(stored.planes) == rows["planes in the map"] == len(read_map(out / "planes.json"))

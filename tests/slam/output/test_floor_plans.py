@@ -24,7 +24,7 @@ from slam.simulation import Mission
 from slam.simulation.record import Plan, record
 from slam.simulation.robots import spinning_rig
 from slam.visualization.mesh import mesh_of
-from tests.slam.commands import command, refused
+from tests.slam.commands import command, refused, simulated_run
 from tests.slam.floorplan.buildings import joint_of, planes_of
 
 SPACING_M = 0.8
@@ -160,13 +160,12 @@ def test_a_package_that_is_missing_is_named(write, package, name, plan: FloorPla
 
 
 def test_a_plan_without_rooms_says_so_once(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert command("simulate", "corridor", "--out", tmp_path / "log", "--scans", 40, "--seed", 3) == 0
-    assert command("slam", tmp_path / "log", "--out", tmp_path / "run") == 0
+    corridor = simulated_run(tmp_path, "corridor", 40, 3)
     capsys.readouterr()
-    assert command("export", tmp_path / "run", "--to", tmp_path / "a.svg", "--to", tmp_path / "b.svg") == 0
+    assert command("export", corridor, "--to", tmp_path / "a.svg", "--to", tmp_path / "b.svg") == 0
     sentence = "the floor plan has no rooms: none was seen all round, only walls and openings are drawn"
     assert capsys.readouterr().err == f"warning: {sentence}\n"
-    assert export_run(tmp_path / "run", tmp_path / "c.svg") == [sentence]
+    assert export_run(corridor, tmp_path / "c.svg") == [sentence]
     assert command("export", run, "--to", tmp_path / "rooms.svg") == 0
     assert capsys.readouterr().err == ""
 

@@ -10,17 +10,14 @@ from slam.errors import LogError
 from slam.io.g2o.reader import read_g2o
 from slam.runs.graph_import import import_graph
 from slam.runs.stored_run import StoredRun
-from tests.slam.commands import command
+from tests.slam.commands import command, refused, simulated_run
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("import")
-    assert command("simulate", "corridor", "--out", folder / "mission", "--scans", 80, "--seed", 3) == 0
-    assert command("slam", folder / "mission", "--out", folder / "run") == 0
-    return folder / "run"
+    return simulated_run(tmp_path_factory.mktemp("import"), "corridor", 80, 3)
 
 
 def moved_file(run: Path, to: Path, motion: gtsam.Pose3 | None = None, noise: float = 0.0) -> Path:
@@ -107,15 +104,11 @@ def test_the_graph_of_another_run_is_refused(
     world: tuple[str, int, int], run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     """Once its planes came back wherever ids happened to be the same."""
-    name, scans, seed = world
-    assert command("simulate", name, "--out", tmp_path / "mission", "--scans", scans, "--seed", seed) == 0
-    assert command("slam", tmp_path / "mission", "--out", tmp_path / "other") == 0
+    other, back = simulated_run(tmp_path, *world), tmp_path / "back"
     capsys.readouterr()
-    assert command("import", tmp_path / "other" / "graph.g2o", "--run", run, "--out", tmp_path / "back") == 2
-    said = capsys.readouterr().err
-    assert "graph.g2o: expected the graph of" in said and "got that of another run" in said
-    assert len(said.strip().splitlines()) == 1 and not (tmp_path / "back").exists()
-    assert command("import", run / "graph.g2o", "--run", tmp_path / "other", "--out", tmp_path / "back") == 2
+    said = refused(capsys, "import", other / "graph.g2o", "--run", run, "--out", back)
+    assert "graph.g2o: expected the graph of" in said and "got that of another run" in said and not back.exists()
+    assert command("import", run / "graph.g2o", "--run", other, "--out", back) == 2
 
 
 def test_a_graph_in_six_digits_with_another_odometry_is_of_its_run(run: Path, tmp_path: Path):

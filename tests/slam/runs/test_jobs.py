@@ -16,7 +16,7 @@ from slam.io.load import load
 from slam.runs.slam_run import Run, run_slam
 from slam.session._codec import encode
 from slam.simulation import Mission, simulate_mission
-from tests.slam.commands import run
+from tests.slam.commands import assert_same_files, run
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux only")
 
@@ -77,5 +77,4 @@ def test_a_run_that_was_killed_is_resumed_at_once(tmp_path: Path, capsys: pytest
     for out, more in (("killed", ["--resume"]), ("whole", [tmp_path / "log", "--jobs", 1, "--out"])):
         code, _, said = run(capsys, "slam", *more, tmp_path / out)
         assert code == 0, (out, said)
-    for name in ("planes.json", "trajectory.tum", "graph.g2o"):
-        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert_same_files(tmp_path / "killed", tmp_path / "whole", ("planes.json", "trajectory.tum", "graph.g2o"))

@@ -25,12 +25,12 @@ from slam.planeslam import pose_symbol
 from slam.sensors.log import LaserScan
 from slam.session.opening import SESSION_FILE
 from slam.session.store import Session, StorageError, salvage_session
-from tests.slam.commands import command, refused, run
+from tests.slam.commands import assert_same_files, command, refused, run, values_of
 from tests.slam.scenes import drive, run_of
 from tests.slam.session import kill
 
 #: Files of a run that must be the same however often it was interrupted; the others hold times.
-SAME = ("trajectory.tum", "planes.json", "map.ply", "config.yaml", "rig.yaml", "graph.g2o")
+SAME = ("trajectory.tum", "planes.json", "map.ply", "map.png", "config.yaml", "rig.yaml", "graph.g2o")
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +106,7 @@ def test_a_run_that_ended_early_goes_on_to_the_same_result(whole, mission: Path,
     shutil.copytree(mission, tmp_path / "elsewhere")
     code, _, err = run(capsys, "slam", *arguments[way])
     assert code == 0, err
-    for name in SAME:
-        assert (out / name).read_bytes() == (whole / name).read_bytes(), name
+    assert_same_files(out, whole, SAME)
     assert kill.records(out / SESSION_FILE) == kill.records(whole / SESSION_FILE)
     code, _, err = run(capsys, "slam", "--resume", out)
     assert code == 0 and err.strip() == f"{out}: finished already; nothing is left to do"  # a supervisor may loop
@@ -199,10 +198,9 @@ def test_a_run_with_odometry_of_its_own_file_goes_on_with_it(mission: Path, tmp_
     assert "expected the log that the run began with" in refused(capsys, "slam", "--resume", tmp_path / "run")
     write_tum(given, truth)
     assert run(capsys, "slam", "--resume", tmp_path / "run")[0] == 0
-    for name in SAME:
-        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    assert_same_files(tmp_path / "run", tmp_path / "whole", SAME)
     rows = json.loads((tmp_path / "run" / "metrics.json").read_text())["metrics"]
-    assert {row["metric"]: row["value"] for row in rows}["odometry readings (given.tum)"] == len(truth)
+    assert values_of(rows)["odometry readings (given.tum)"] == len(truth)
 
 
 def test_what_resume_does_not_take_is_refused(unfinished: Path, tmp_path: Path, capsys):
