@@ -24,9 +24,6 @@ from spplanes import _threads
 
 Result = TypeVar("Result")
 
-#: Results that wait to be fetched from one process, bytes: of some keyframes, and what Linux allows anybody.
-_PIPE_BYTES = 1 << 20
-
 
 def cores() -> int:
     """Cores that this process may run on."""
@@ -78,8 +75,8 @@ class _Helper:
                 end.close()
             _help(work, numbers, shared, sending, parent)
         sending.close()
-        with contextlib.suppress(OSError, AttributeError):  # where the system lets more results wait
-            fcntl.fcntl(self._results.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        with contextlib.suppress(OSError, AttributeError):  # bytes of some keyframes may wait: all that Linux allows
+            fcntl.fcntl(self._results.fileno(), fcntl.F_SETPIPE_SZ, 1 << 20)
 
     def next(self) -> bytes | None:
         """The next result, pickled; None: it gives no more."""

@@ -42,8 +42,6 @@ Progress = Callable[[str, int, int], None]
 RETRIES = 10
 #: The record of a mission in its run's folder.
 RECORD_FILE = "mission.record"
-#: So long is waited for a scheduler to answer.
-_PATIENCE_S = "10s"
 
 
 class FleetError(OSError):
@@ -123,7 +121,7 @@ def remote_client(address: str | None = None, scheduler_file: Path | None = None
         raise ValueError(f"{scheduler_file}: expected the file of a Dask scheduler, found nothing")
     file = None if scheduler_file is None else str(scheduler_file)
     try:
-        return distributed.Client(address, scheduler_file=file, timeout=_PATIENCE_S, set_as_default=False)
+        return distributed.Client(address, scheduler_file=file, timeout="10s", set_as_default=False)
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{address or file}: expected the scheduler of a Dask cluster, got no answer") from error
 

@@ -34,21 +34,6 @@ _LONGEST = (
     "tests/slam/cli/test_verdict.py",
     "tests/test_examples.py",
     "tests/slam/runs/test_missions.py",
-    "tests/slam/visualization/test_view.py",
-    "tests/slam/floorplan/test_joint_planes.py",
-    "tests/slam/session/test_prior_map.py",
-    "tests/test_docs.py",
-    "tests/slam/joining/test_joining.py",
-    "tests/slam/tracking/test_odometry_scale.py",
-    "tests/slam/joining/test_overlap.py",
-    "tests/slam/cli/test_startup.py",
-    "tests/slam/tracking/test_odometry_record.py",
-    "tests/spplanes/fitting/test_consistency.py",
-    "tests/slam/runs/test_scan_trajectory.py",
-    "tests/slam/session/test_store.py",
-    "tests/factors/test_nis.py",
-    "tests/slam/runs/test_real_logs.py",
-    "tests/fuzz/test_targets.py",
 )
 
 

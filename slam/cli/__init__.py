@@ -28,8 +28,6 @@ app = typer.Typer(
 
 #: Options of the group that may come after the command too.
 _OF_GROUP = ("-v", "-vv", "--verbose", "-q", "--quiet")
-#: What click makes of Ctrl-C.
-_CLICK_INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -42,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         _fail("stopped", 1)
     except SystemExit as end:
-        if end.code == _CLICK_INTERRUPTED:
+        if end.code == 130:  # what click makes of Ctrl-C
             _fail("stopped", 1)
         raise
     except OSError as error:  # a full disk is nobody's bad input, and nothing unexpected

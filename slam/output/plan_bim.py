@@ -24,8 +24,7 @@ from spplanes._check import FloatArray
 
 #: Layers of a storey: what is on them, AutoCAD's colour index.
 LAYERS = {"ROOM": 5, "WALL": 7, "FACE": 8, "OPENING": 3, "DIMENSION": 1, "TEXT": 7}
-#: Height of texts, and sizes of dimensions, m.
-_TEXT_M = 0.12
+#: Sizes of dimensions, m.
 _DIMENSION = {"dimtxt": 0.08, "dimasz": 0.05, "dimexe": 0.02, "dimexo": 0.02, "dimgap": 0.02, "dimtad": 1}
 
 
@@ -82,7 +81,7 @@ def _draw(document: Any, prefix: str, drawing: Drawing) -> None:
     west, _, _, north = drawing.bounds
     for text, place, attachment in [*texts, (drawing.title, (west, north + 1.0), 7)]:
         where = {"attachment_point": attachment, "insert": (*place, z)}
-        space.add_mtext(text, dxfattribs=on("TEXT", char_height=_TEXT_M, **where))
+        space.add_mtext(text, dxfattribs=on("TEXT", char_height=0.12, **where))
 
 
 #: Property set of what was measured: every value X has its XStandardDeviation beside it, in the same unit.

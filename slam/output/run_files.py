@@ -152,10 +152,6 @@ def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
     return np.concatenate(parts)
 
 
-#: Points without a plane that a picture shows at most.
-_DRAWN_POINTS = 20000
-
-
 def write_cloud_planes(found: FittedCloud, folder: Path) -> None:
     """planes.json, planes.ply (outlines as triangles), points.ply (the returns with their plane) and planes.png."""
     write_planes(folder / "planes.json", found.map_planes)
@@ -171,7 +167,7 @@ def _draw_cloud(found: FittedCloud, path: Path) -> None:
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     plan, side = figure.subplots(2, 1, height_ratios=[3, 1], sharex=True)
     rest = found.points[found.labels < 0]
-    rest = rest[:: max(len(rest) // _DRAWN_POINTS, 1)]
+    rest = rest[:: max(len(rest) // 20_000, 1)]  # about so many, however many there are
     for axes, view, upright in ((plan, "plan", 1), (side, "side", 2)):
         axes.plot(rest[:, 0], rest[:, upright], ",", color="0.6")
         draw_planes(axes, found.map_planes, view)

@@ -31,9 +31,6 @@ from slam.registration.surface_registration import WEAK_PRIOR, Expected, LocalMa
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import rpy_from_transform, transform_from_rpy
 
-#: Numbers of a pose.
-_POSE = 6
-
 
 @dataclass(frozen=True, eq=False)
 class Registration:
@@ -148,7 +145,7 @@ def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], mounts: 
     own: that of the pose has a variance larger than the estimate by dof / (dof - 2) (Student's t).
     """
     first, second = slam.trajectory.poses
-    nis, spare = float("nan"), 3 * len(chi2) - _POSE
+    nis, spare = float("nan"), 3 * len(chi2) - 6
     covariance = slam.marginal_covariance(gtsam.symbol("x", 1))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     if spare > 2:
         nis = float(sum(chi2)) / spare

@@ -21,8 +21,6 @@ from slam.planeslam import PlaneSlam, pose_symbol
 from spplanes._check import FloatArray, as_shape
 
 FORMAT = "spplanes-view/1"
-#: Poses whose covariance is kept, evenly over the run: enough to draw, and quick to get.
-_MOST_POSES = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class History:
         kinds = {plane.id: plane.kinds for plane in planes}
         if slam is None:
             return cls(seen, kinds, points=points)
-        chosen = evenly(len(slam.keyframes), _MOST_POSES)
+        chosen = evenly(len(slam.keyframes), 60)  # poses over the run: enough to draw, and quick to get
         covariances = {k: slam.marginal_covariance(pose_symbol(k))[np.ix_(POSE3_TO_SP, POSE3_TO_SP)] for k in chosen}
         return cls(seen, kinds, {kind: list(rows) for kind, rows in slam.audit.history.items()}, covariances, points)
 

@@ -28,8 +28,6 @@ from slam.session.prior_map import PriorMap
 from slam.session.replay import ForgottenKeyframes, Places
 from spplanes.spmodel import PLANE, rpy_from_transform, transform_from_rpy
 
-#: A map is mended again while that makes it better, at most so often.
-_ROUNDS = 3
 #: Verdicts, the better first.
 _GRADES = ("sound", "doubtful", "broken")
 
@@ -91,7 +89,7 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Rep
         return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it
     verdict = assessed(slam, rig)
     repairs: list[Repair] = []
-    while verdict.verdict != "sound" and len(repairs) < _ROUNDS:
+    while verdict.verdict != "sound" and len(repairs) < 3:
         if slam.prior is None:
             found = _other_places(slam, verdict)
         else:

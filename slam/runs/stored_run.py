@@ -29,9 +29,6 @@ from spplanes._check import FloatArray
 if TYPE_CHECKING:
     from slam.floorplan import FloorPlan
 
-#: Planes replayed and planes of the file are the same when (normal, d) differ by less: rounding, of a batch too.
-_SAME = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
@@ -193,4 +190,4 @@ def _are_same(first: Sequence[MapPlane], second: Sequence[MapPlane]) -> bool:
     if [one.id for one in first] != [one.id for one in second]:
         return False
     rows = [np.array([[*plane.plane.normal, plane.plane.d] for plane in planes]) for planes in (first, second)]
-    return not first or bool(np.abs(rows[0] - rows[1]).max() < _SAME)
+    return not first or bool(np.abs(rows[0] - rows[1]).max() < 1e-6)  # rounding, of a batch too

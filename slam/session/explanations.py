@@ -10,14 +10,11 @@ from slam.loop_closure.verification import LoopDecision
 from slam.map.data_association import Candidate, Decision
 from slam.mapping.fusion import Merge
 
-#: Candidates named in a sentence.
-_NAMED = 3
-
 
 def decision_sentence(decision: Decision, observation: Observation) -> str:
     """What became of an observation, and what it was compared with, likeliest first."""
     what = f"{observation.kind} {decision.observation} ({observation.n_points} points)"
-    compared = ", ".join(_candidate(candidate) for candidate in decision.candidates[:_NAMED]) or "no landmark near"
+    compared = ", ".join(_candidate(candidate) for candidate in decision.candidates[:3]) or "no landmark near"
     if decision.match is not None:
         return f"{what} is landmark {decision.match.landmark}: {compared}"
     if decision.verdict == "new":

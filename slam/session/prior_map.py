@@ -27,8 +27,6 @@ from spplanes.spmodel import transform_from_rpy
 
 #: GTSAM key of the pose in whose frame the planes of a prior map live: that of the map itself.
 MAP_KEY = gtsam.symbol("m", 0)
-#: The map's own frame is where it is: sigma of its pose, m and rad.
-_EXACT = 1e-6
 #: Standard deviations of planes that a map can tell from none and from ignorance, m and rad.
 _LEAST_SIGMA, _LARGEST_SIGMA = 1e-9, 1e3
 #: Numbers of planes are below this; GTSAM's keys have 56 bits for them, and new landmarks are counted from the last on.
@@ -37,8 +35,6 @@ _MOST_NUMBERS = 1 << 48
 START_SIGMA_M, START_SIGMA_RAD = 0.3, 0.1
 #: Instead of numbers: look for the start in the map.
 FIND = "find"
-#: What a robot on a floor may be off it at the start: sigma of z, m, and of pitch and roll, rad.
-_FLOOR_SIGMA_M, _FLOOR_SIGMA_RAD = 1e-3, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +117,7 @@ class PriorMap:
             values.insert(key, plane_landmark(plane))
             landmarks.plant(Landmark(one.id, key, MAP_KEY, plane.frame, one.seen, n_points=plane.n_points, known=known))
         factors = [
-            pose_prior(MAP_KEY, np.eye(4), _EXACT**2 * np.eye(6)),
+            pose_prior(MAP_KEY, np.eye(4), 1e-6**2 * np.eye(6)),  # the map's own frame is where it is
             map_prior([known.plane for known in self.planes], keys, self.covariance),
         ]
         backend.update(factors, values)
@@ -143,8 +139,8 @@ class PriorMap:
 
 def floor_start(sigma_m: float = START_SIGMA_M, sigma_rad: float = START_SIGMA_RAD) -> FloatArray:
     """Covariance (6, 6) of the start of a robot on the floor whose place is known to ``sigma_m`` and ``sigma_rad``."""
-    sigmas = (sigma_m, sigma_m, _FLOOR_SIGMA_M, sigma_rad, _FLOOR_SIGMA_RAD, _FLOOR_SIGMA_RAD)
-    return np.diag(np.square(sigmas))
+    off_floor_m, tilt_rad = 1e-3, 1e-3
+    return np.diag(np.square((sigma_m, sigma_m, off_floor_m, sigma_rad, tilt_rad, tilt_rad)))
 
 
 def finished_map(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Backend) -> bytes:

@@ -29,8 +29,6 @@ Slam = TypeVar("Slam")
 RawScans = Literal["reference", "value"]
 #: Numbers of a decision made again may differ by this share from those recorded; choices may not differ at all.
 _SAME = 1e-9
-#: Keyframes that stay in memory after they were read: the last few are looked at again and again.
-_KEPT = 32
 
 
 class Recorder:
@@ -164,7 +162,7 @@ class ForgottenKeyframes(Growing[Keyframe]):
     """Keyframes of which the time, the notes, and what there is not stay; the last few that were read are kept."""
 
     def __init__(self, session: Session) -> None:
-        read = lru_cache(maxsize=_KEPT)(session.keyframe)
+        read = lru_cache(maxsize=32)(session.keyframe)  # the last few are looked at again and again
         self._readers = {
             field.name: lambda index, name=field.name: getattr(read(index), name) for field in fields(Keyframe)
         }

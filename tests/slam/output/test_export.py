@@ -96,6 +96,7 @@ def test_a_broken_history_is_refused(run: Path):
         ("nis", {"plane": [[1, "x", 3]]}),
         ("kinds", [1]),
         ("pose_covariances", {"0": [[1.0]]}),
+        *(("points_cm", wrong) for wrong in ([1, 2], {}, [1, 2, "x"], [1, 2, float("inf")])),
     ):
         (run / "view.json").write_text(json.dumps({**good, key: value}))
         with pytest.raises(LogError, match=r"expected the view\.json of a run"):

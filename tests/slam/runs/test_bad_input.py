@@ -49,6 +49,7 @@ object.__setattr__(SEEN.plane, "covariance", INDEFINITE)  # whoever makes a plan
     [
         ({"observations": [SEEN]}, rf"keyframe.observations\[0\].plane.{NOT_DEFINITE}eigenvalue"),
         ({"covariance": INDEFINITE}, f"keyframe.motion.{NOT_DEFINITE}eigenvalue -0.0001"),
+        ({"stamp_ns": 10**9}, "keyframe: expected a time after 1000000000 ns, got 1000000000 ns"),
         ({"stamp_ns": 1.5}, "keyframe.stamp_ns: expected whole nanoseconds, got 1.5"),
         ({"observations": None}, "keyframe.observations: expected a Sequence, got NoneType"),
         ({"observations": [1]}, r"keyframe.observations\[0\]: expected a plane or a line that was seen, got int"),

@@ -100,14 +100,9 @@ def test_clouds_are_thinned_evenly_and_the_same_each_time():
     assert len(points_of_map(Log([], Path("log")), rig("cloud"), Trajectory.empty())) == 0
 
 
-def test_they_are_kept_to_the_centimetre_and_checked(tmp_path: Path):
+def test_they_are_kept_to_the_centimetre(tmp_path: Path):
     points = np.array([[1.234, -5.678, 0.005], [1e3, 0.0, -2.0]])
     History.of([], points=points).write(tmp_path / "view.json")
     np.testing.assert_allclose(History.read(tmp_path / "view.json").points, points, atol=0.0051)
-    text = (tmp_path / "view.json").read_text()
-    for wrong in ('"points_cm": [1, 2]', '"points_cm": {}', '"points_cm": [1, 2, "x"]', '"points_cm": [1, 2, 1e999]'):
-        (tmp_path / "view.json").write_text(text.replace(text[text.index('"points_cm"') : text.rindex("]") + 1], wrong))
-        with pytest.raises(LogError, match=r"expected the view\.json of a run"):
-            History.read(tmp_path / "view.json")
-    (tmp_path / "view.json").write_text(text.replace("points_cm", "other"))
+    (tmp_path / "view.json").write_text((tmp_path / "view.json").read_text().replace("points_cm", "other"))
     assert len(History.read(tmp_path / "view.json").points) == 0  # as earlier versions wrote it

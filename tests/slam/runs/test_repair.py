@@ -93,22 +93,17 @@ def test_a_false_loop_is_found_and_the_drive_mapped_without_it(mended, truth: Dr
     assert told[-1] == (len(out.slam.keyframes), len(out.slam.keyframes))
 
 
-def test_the_mended_run_is_what_its_session_is_replayed_to(mended):
-    out, path, *_ = mended
-    with PlaneSlam.open(path, read_only=True, forget_raw=True) as again:
-        assert again.trajectory.poses.tobytes() == out.slam.trajectory.poses.tobytes()
-        assert all(match.delta[0] < 1.0 for match in again.keyframes[AT].places if match.keyframe == OLD)
-
-
-def test_it_goes_on_as_any_run(mended, frames: list[Keyframe], tmp_path: Path):
+def test_the_mended_run_is_what_its_session_is_replayed_to_and_goes_on_as_any(mended, frames, tmp_path: Path):
     copy = tmp_path / "session.db"
     copy.write_bytes(mended[1].read_bytes())
     with PlaneSlam.open(copy) as slam:
+        assert slam.trajectory.poses.tobytes() == mended[0].slam.trajectory.poses.tobytes()
         last = frames[-1]
         slam.add_keyframe(replace(last, stamp_ns=last.stamp_ns + 10**9))
         whole = slam.trajectory.poses
-    with PlaneSlam.open(copy, read_only=True) as again:
+    with PlaneSlam.open(copy, read_only=True, forget_raw=True) as again:
         assert again.trajectory.poses.tobytes() == whole.tobytes()
+        assert all(match.delta[0] < 1.0 for match in again.keyframes[AT].places if match.keyframe == OLD)
 
 
 def test_until_the_new_map_counts_the_session_is_the_old_one(mended, bent: Path):
@@ -126,14 +121,16 @@ def damaged(path: Path, copy: Path, table: str, row: str) -> Path:
     return copy
 
 
-def test_damaged_places_are_said_and_a_salvaged_session_keeps_whole_ones(mended, tmp_path: Path):
-    path = mended[1]
-    with pytest.raises(SessionDamaged, match="places"):
-        Session.open(damaged(path, tmp_path / "damaged.db", "session", "key = 'places'"), read_only=True)
-    saved = damaged(path, tmp_path / "saved.db", "keyframes", "id = 80")
-    assert "saved 80 keyframes" in salvage_session(saved)
+@pytest.mark.parametrize(("found", "key", "kept"), [("mended", "places", 80), ("misplaced", "start", 20)])
+def test_what_was_found_is_told_from_what_is_damaged_and_salvaged(found, key, kept, request, tmp_path: Path):
+    path = request.getfixturevalue(found)[1]
+    with pytest.raises(SessionDamaged, match=key):
+        Session.open(damaged(path, tmp_path / "damaged.db", "session", f"key = '{key}'"), read_only=True)
+    saved = damaged(path, tmp_path / "saved.db", "keyframes", f"id = {kept}")
+    assert f"saved {kept} keyframes" in salvage_session(saved)
     with Session.open(saved, read_only=True) as again, Session.open(path, read_only=True) as whole:
-        for index in range(80):
+        assert len(again) == kept and encode(again.start) == encode(whole.start)
+        for index in range(kept):
             assert encode(list(again.keyframe(index).places)) == encode(list(whole.keyframe(index).places))
             assert encode(again.decisions(index)) == encode(whole.decisions(index))
 
@@ -153,7 +150,7 @@ def test_where_no_loops_are_looked_for_none_are_mended(loops: LoopConfig, keeps:
 
 
 @pytest.fixture(scope="module")
-def misplaced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, corpus.Drive, Path]:
+def misplaced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path, corpus.Drive]:
     """A run, and its session, in a map of its building from a start 2 m off, of which 0.3 m were said."""
     drive = corpus.make_drive(corpus.Recipe.parse("office/level/absent/prior_start"), 130035)
     path = tmp_path_factory.mktemp("misplaced") / "session.db"
@@ -162,11 +159,11 @@ def misplaced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, corpus.Dri
     with closing(slam):
         run = run_slam(drive.log, drive.rig, SlamConfig(), slam=slam)
         assert run.verdict.verdict == "sound"
-    return run, drive, path
+    return run, path, drive
 
 
-def test_a_wrong_start_in_a_prior_map_is_found(misplaced: tuple[Run, corpus.Drive, Path]):
-    run, drive, path = misplaced
+def test_a_wrong_start_in_a_prior_map_is_found(misplaced: tuple[Run, Path, corpus.Drive]):
+    run, path, drive = misplaced
     true = drive.truth.poses_at(run.trajectory.stamps_ns)
     off = np.linalg.inv(true) @ run.trajectory.poses
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.02  # 9.7 m by the start that was said
@@ -179,16 +176,6 @@ def test_a_wrong_start_in_a_prior_map_is_found(misplaced: tuple[Run, corpus.Driv
     assert (start[2, 3], start[2, 2]) == (0.0, 1.0)  # the floor, of which the start was right
     with PlaneSlam.open(path, read_only=True) as again:
         assert again.trajectory.poses.tobytes() == run.trajectory.poses.tobytes()
-
-
-def test_a_start_that_was_found_is_told_from_a_damaged_one_and_is_salvaged(misplaced, tmp_path: Path):
-    path = misplaced[2]
-    with pytest.raises(SessionDamaged, match="start"):
-        Session.open(damaged(path, tmp_path / "damaged.db", "session", "key = 'start'"), read_only=True)
-    saved = damaged(path, tmp_path / "saved.db", "keyframes", "id = 20")
-    salvage_session(saved)
-    with PlaneSlam.open(saved, read_only=True) as again, PlaneSlam.open(path, read_only=True) as whole:
-        assert len(again.keyframes) == 20 and np.array_equal(again.prior.world_T_start, whole.prior.world_T_start)
 
 
 @pytest.mark.parametrize(("name", "asks"), [("office/level/good/prior", 0), ("office/lidar16/good/prior_elsewhere", 1)])

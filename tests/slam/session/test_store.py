@@ -16,10 +16,9 @@ from factors.association.observations import LineObservation
 from slam import PlaneSlam, SlamConfig
 from slam.map.data_association import Candidate, Decision
 from slam.planeslam import pose_symbol
-from slam.sensors.log import CloudScan, LaserScan, Log
+from slam.sensors.log import CloudScan, LaserScan
 from slam.session._codec import CodecError, decode, encode
 from slam.session._file import digest
-from slam.session.replay import SessionRecorder
 from slam.session.store import Session, SessionDamaged, SessionError, salvage_session
 from spplanes import ScanLine
 from tests.slam.scenes import drive, run_of
@@ -236,6 +235,7 @@ def test_numbers_come_back_bit_for_bit():
         "line": LineObservation(line, np.eye(4)),
         "decision": Decision(3, "match", Candidate(1, 2.5, 3, -4.0, True), (Candidate(1, 2.5, 3, -4.0, True),)),
         "number": np.float64(0.1),
+        "scans": [LaserScan(5, "front", awkward, awkward), CloudScan(6, "top", fortran)],
     }
     back = decode(encode(values))
     assert back["array"].tobytes() == awkward.tobytes()
@@ -244,7 +244,7 @@ def test_numbers_come_back_bit_for_bit():
     assert back["nested"] == values["nested"] and back["decision"] == values["decision"]
     assert repr(back["floats"]) == repr(values["floats"])
     assert shapely.to_wkb(back["shape"]) == shapely.to_wkb(values["shape"])
-    assert encode(back["line"]) == encode(values["line"])
+    assert encode(back["line"]) == encode(values["line"]) and encode(back["scans"]) == encode(values["scans"])
     assert type(back["number"]) is float and back["number"] == 0.1
 
 
@@ -258,26 +258,6 @@ def test_no_two_sequences_have_one_digest():
     assert digest("ab", "c") != digest("a", "bc")
     assert digest(None) != digest("") != digest("None")
     assert digest(1, b"x") == digest("1", "x")
-
-
-def test_raw_scans_by_place_and_by_value(tmp_path: Path):
-    laser = LaserScan(5, "front", np.array([1.0, np.nan, 2.5]), np.array([-1.0, 0.0, 1.0]))
-    cloud = CloudScan(6, "top", np.arange(12.0).reshape(4, 3))
-    log = Log([laser, cloud], tmp_path / "log")
-    frames = [replace(drive(0).keyframes[0], scans=(laser, cloud)), *drive(0).keyframes[1:3]]
-    for raw in ("reference", "value"):
-        path = tmp_path / f"{raw}.db"
-        session = Session.create(path, SlamConfig())
-        with PlaneSlam(recorder=SessionRecorder(session, log=log, raw=raw)) as slam:
-            run_of(frames, slam)
-        with Session.open(path, read_only=True) as session:
-            found = session.scans(0)
-            assert [(one.sensor, one.stamp_ns, one.position) for one in found] == [("front", 5, 0), ("top", 6, 1)]
-            assert session.scans(1) == []
-            if raw == "reference":
-                assert [one.scan for one in found] == [None, None]
-            else:
-                assert encode(found[0].scan) == encode(laser) and encode(found[1].scan) == encode(cloud)
 
 
 #: A reader in the middle of reading: it holds the state of the file that it sees.
