@@ -15,26 +15,18 @@ from slam.session.opening import is_unfinished
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A scratch file beside `path` that takes its place, whatever is there, when the block ends well.
+    """A place for a file that takes that of `path`, whatever is there, when the block ends well.
 
     ValueError: `path` is a folder, or lies where nothing can be written.
     """
     if path.is_dir():
         raise ValueError(f"{path}: expected a file to write, got a folder")
-    scratch = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name[:100]}-", dir=path.parent)
-        os.close(handle)
-        scratch = Path(name)
-        yield scratch
-        scratch.chmod(0o644)
-        os.replace(scratch, path)
+        with scratch_folder(path) as work:
+            yield work / path.name
+            os.replace(work / path.name, path)
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        if scratch is not None:
-            scratch.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -42,7 +34,7 @@ def scratch_folder(out: Path) -> Iterator[Path]:
     """A hidden folder beside `out`, to be moved to its place, gone at the end unless it was. ValueError: none can."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+        work = Path(tempfile.mkdtemp(prefix=f".{out.name[:100]}-", dir=out.parent))
     except OSError as error:
         raise ValueError(f"{out}: cannot be made ({error.strerror})") from error
     try:

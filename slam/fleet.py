@@ -88,8 +88,20 @@ def run(
         raise ValueError(f"logs: expected at least two, got {len(logs)}")
     config, store, named = config or SlamConfig(), Path(store).resolve(), zip(names_of(logs), logs, strict=True)
     orders = [Order(name, Path(log).resolve(), rig, config, store, keep_partial) for name, log in named]
+    pairs = list(combinations(range(len(orders)), 2))
     with local_client() if client is None else nullcontext(client) as used:
-        return _on(used, orders, significance, strict, progress)
+        submit = partial(used.submit, pure=True, retries=RETRIES)
+        mapped = [submit(map_log, one) for one in orders]
+        compared = [submit(compare_mapped, mapped[a], mapped[b], config, significance / len(pairs)) for a, b in pairs]
+        done = dict(zip((one.name for one in orders), _gathered(used, mapped, "missions", progress), strict=True))
+        left_out = {name: one.reason for name, one in done.items() if one.folder is None}
+        if left_out and (strict or len(left_out) == len(orders)):
+            some, (name, reason) = len(left_out), next(iter(left_out.items()))
+            raise ValueError(f"logs: expected ones that can be mapped, got {some} that cannot ({name}: {reason})")
+        comparisons = [one for one in _gathered(used, compared, "pairs", progress) if one is not None]
+        folders = {name: one.folder for name, one in done.items() if one.folder is not None}
+        missions = {name: open_mapped(folder, name) for name, folder in folders.items()}
+        return replace(joined_by(missions, comparisons, config, left_out), folders=folders)
 
 
 def local_client(workers: int | None = None, memory: str = "auto") -> Client:
@@ -140,25 +152,6 @@ def has_dashboard() -> bool:
     return find_spec("bokeh") is not None
 
 
-def _on(
-    client: Client, orders: Sequence[Order], significance: float, strict: bool, progress: Progress | None
-) -> JoinedMap:
-    config, pairs = orders[0].config, list(combinations(range(len(orders)), 2))
-    submit = partial(client.submit, pure=True, retries=RETRIES)
-    mapped = [submit(map_log, one) for one in orders]
-    compared = [submit(compare_mapped, mapped[a], mapped[b], config, significance / len(pairs)) for a, b in pairs]
-    done = dict(zip((one.name for one in orders), _gathered(client, mapped, "missions", progress), strict=True))
-    left_out = {name: one.reason for name, one in done.items() if one.folder is None}
-    if left_out and (strict or len(left_out) == len(orders)):
-        name, reason = next(iter(left_out.items()))
-        raise ValueError(f"logs: expected ones that can be mapped, got {len(left_out)} that cannot ({name}: {reason})")
-    comparisons = [one for one in _gathered(client, compared, "pairs", progress) if one is not None]
-    folders = {name: one.folder for name, one in done.items() if one.folder is not None}
-    missions = {name: open_mapped(folder, name) for name, folder in folders.items()}
-    joined = joined_by(missions, comparisons, config, left_out)
-    return replace(joined, folders=folders)
-
-
 def _gathered(client: Client, futures: Sequence[Any], what: str, progress: Progress | None) -> list[Any]:
     """Results in the order of the futures; FleetError: the cluster is gone."""
     _, distributed = _dask()
@@ -168,11 +161,7 @@ def _gathered(client: Client, futures: Sequence[Any], what: str, progress: Progr
                 progress(what, done + 1, len(futures))
         results: Any = client.gather(list(futures))
         return results
-    except (
-        distributed.CancelledError,
-        distributed.client.FutureCancelledError,
-        distributed.comm.CommClosedError,
-    ) as error:
+    except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
         raise FleetError(f"the cluster is gone ({type(error).__name__}); what is finished is kept") from error
     except distributed.KilledWorker as error:
         raise FleetError(
