@@ -16,10 +16,10 @@ from slam.frontend.pose_measurements import PlaceMatch
 from slam.map.data_association import Decision
 from slam.sensors.log import CloudScan, LaserScan
 from slam.sensors.rig import Rig
-from slam.session._codec import CodecError, decode, keyframe_of
+from slam.session._codec import decode, keyframe_of
 from slam.session._file import SessionDamaged, SessionError, digest, translated
 from slam.session.opening import OpenFile
-from spplanes._check import as_transform
+from spplanes._check import FloatArray, as_transform
 
 #: Places by the keyframe that stands near them.
 Places = Mapping[int, Sequence[PlaceMatch]]
@@ -66,11 +66,12 @@ class SessionRecords:
         except ValueError as error:
             raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
         self.prior = parameters["prior"]
+        of_places = partial(decode, hint=list[tuple[int, tuple[PlaceMatch, ...]]])
+        places, start = self._read("session", "places"), self._read("session", "start")
         #: Places found after the drive, by the keyframe that stands near them; a keyframe is read with its own.
-        places = partial(decode, hint=list[tuple[int, tuple[PlaceMatch, ...]]])
-        self.places = dict(self._found("places", "places that were found", places) or ())
+        self.places = {} if places is None else dict(self._checked(of_places, places, "the places that were found"))
         #: Start in the prior map, shape (4, 4), found after the drive; None: the one that the prior map says.
-        self.start = self._found("start", "a start that was found", lambda data: as_transform("start", decode(data)))
+        self.start = None if start is None else self._checked(_pose_of, start, "the start that was found")
         self._last = b""
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
         if damaged:  # nobody knows how many there were
@@ -109,16 +110,8 @@ class SessionRecords:
         row = self._one("SELECT stamp_ns, data, digest FROM keyframes WHERE id = ?", index)
         if row is None or digest(self._digest_of(index - 1), index, row[0], row[1]) != row[2]:
             raise self._damaged(index)
-        measured = self._checked(keyframe_of, row[1], index)
+        measured = self._checked(keyframe_of, row[1], f"keyframe {index}")
         return replace(measured, places=self.places[index]) if index in self.places else measured
-
-    def _found(self, key: str, what: str, read: Callable[[bytes], Any]) -> Any:
-        """What was found after the drive; None: nothing was."""
-        data = self._read("session", key)
-        try:
-            return None if data is None else read(data)
-        except ValueError as error:  # as a CodecError is
-            raise SessionError(f"{self.path}: expected {what}, got something else ({error})") from error
 
     def decisions(self, index: int) -> list[Decision] | None:
         """What the measurements of a keyframe were taken for; None: not recorded."""
@@ -129,7 +122,7 @@ class SessionRecords:
             return None
         if digest(self._digest_of(index), row[0]) != row[1]:
             raise self._damaged(index)
-        return self._checked(partial(decode, hint=list[Decision]), row[0], index)
+        return self._checked(partial(decode, hint=list[Decision]), row[0], f"keyframe {index}")
 
     def scans(self, index: int) -> list[RawScan]:
         """The raw scans behind a keyframe: what they are, where they lie in the log, and they themselves if kept."""
@@ -137,12 +130,12 @@ class SessionRecords:
             columns = "number, sensor, stamp_ns, position, data, digest"
             query = f"SELECT {columns} FROM scans WHERE keyframe = ? ORDER BY number"
             rows = self._db.execute(query, (index,)).fetchall()
-        found = []
+        found, read = [], partial(decode, hint=LaserScan | CloudScan)
         for *row, checksum in rows:
             if digest(self._digest_of(index), *row) != checksum:
                 raise self._damaged(index)
             _, sensor, stamp_ns, position, data = row
-            scan = None if data is None else self._checked(partial(decode, hint=LaserScan | CloudScan), data, index)
+            scan = None if data is None else self._checked(read, data, f"keyframe {index}")
             found.append(RawScan(sensor, stamp_ns, position, scan))
         return found
 
@@ -182,11 +175,15 @@ class SessionRecords:
             raise self._damaged(index)
         return row[0]
 
-    def _checked(self, read: Callable[[bytes], Any], data: bytes, index: int) -> Any:
+    def _checked(self, read: Callable[[bytes], Any], data: bytes, what: str) -> Any:
         try:
             return read(data)
-        except CodecError as error:
-            raise SessionError(f"{self.path}: keyframe {index}: {error}") from error
+        except ValueError as error:  # as a CodecError is
+            raise SessionError(f"{self.path}: {what}: {error}") from error
 
     def _damaged(self, index: int, size: int | None = None) -> SessionDamaged:
         return SessionDamaged(f"{self.path}: damaged at keyframe {index} of {size or self._size}")
+
+
+def _pose_of(data: bytes) -> FloatArray:
+    return as_transform("start", decode(data))

@@ -7,14 +7,18 @@ from collections.abc import Iterable, Sequence
 from factors.association.observations import Observation
 from slam.loop_closure.closing import ClosedLoop
 from slam.loop_closure.verification import LoopDecision
-from slam.map.data_association import Candidate, Decision
+from slam.map.data_association import Decision
 from slam.mapping.fusion import Merge
 
 
 def decision_sentence(decision: Decision, observation: Observation) -> str:
     """What became of an observation, and what it was compared with, likeliest first."""
     what = f"{observation.kind} {decision.observation} ({observation.n_points} points)"
-    compared = ", ".join(_candidate(candidate) for candidate in decision.candidates[:3]) or "no landmark near"
+    likeliest = [
+        f"landmark {one.landmark} chi2 {one.chi2:.1f} of {one.dof} dof (p {one.p_value:.2g})"
+        for one in decision.candidates[:3]
+    ]
+    compared = ", ".join(likeliest) or "no landmark near"
     if decision.match is not None:
         return f"{what} is landmark {decision.match.landmark}: {compared}"
     if decision.verdict == "new":
@@ -40,7 +44,3 @@ def change_sentences(
             ends = known.loop.keyframe, known.loop.old_keyframe
             sentences.append("keyframe {} was found not to have come back to the place of keyframe {}".format(*ends))
     return sentences
-
-
-def _candidate(one: Candidate) -> str:
-    return f"landmark {one.landmark} chi2 {one.chi2:.1f} of {one.dof} dof (p {one.p_value:.2g})"
