@@ -109,21 +109,16 @@ def planar_nees(covariance: np.ndarray, truth: np.ndarray, estimate: np.ndarray)
     return float(error @ np.linalg.solve(covariance[np.ix_(IN_PLANE, IN_PLANE)], error))
 
 
+COMPARED = {OdometryReading: ["odom_T_body"], CloudScan: ["points"], LaserScan: ["ranges", "angles", "world_T_body"]}
+
+
 def assert_same_events(some: Iterable[Event], others: Iterable[Event], atol: float = 0.0) -> None:
     """Of two logs, bit for bit; with a tolerance, poses and bearings as near as it and single precision have them."""
-    near = {"rtol": 1e-7 if atol else 0.0, "atol": atol}
+    exact, near = {"rtol": 0.0, "atol": 0.0}, {"rtol": 1e-7 if atol else 0.0, "atol": atol}
     for a, b in zip(some, others, strict=True):
-        assert a.stamp_ns == b.stamp_ns
-        if isinstance(a, OdometryReading):
-            assert isinstance(b, OdometryReading)
-            np.testing.assert_allclose(a.odom_T_body, b.odom_T_body, **near)
-        elif isinstance(a, CloudScan):
-            assert isinstance(b, CloudScan) and a.sensor == b.sensor
-            np.testing.assert_array_equal(a.points, b.points)
-        else:
-            assert isinstance(b, LaserScan) and a.sensor == b.sensor
-            np.testing.assert_array_equal(a.ranges, b.ranges)
-            np.testing.assert_allclose(a.angles, b.angles, **near)
-            assert (a.world_T_body is None) == (b.world_T_body is None)
-            if a.world_T_body is not None and b.world_T_body is not None:
-                np.testing.assert_allclose(a.world_T_body, b.world_T_body, **near)
+        [(kind, names)] = [(kind, names) for kind, names in COMPARED.items() if isinstance(a, kind)]
+        assert isinstance(b, kind) and (a.stamp_ns, getattr(a, "sensor", "")) == (b.stamp_ns, getattr(b, "sensor", ""))
+        for one, other, name in ((getattr(a, name), getattr(b, name), name) for name in names):
+            assert (one is None) == (other is None)
+            if one is not None:
+                np.testing.assert_allclose(one, other, **(exact if name in ("ranges", "points") else near))

@@ -124,7 +124,6 @@ def test_a_fleet_is_the_same_on_one_worker_and_on_two_of_which_one_is_killed(
 
 def test_bad_input_is_one_sentence(logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "map"
-    assert "at least two" in refused(capsys, "fleet", logs[0], "--out", out, "--workers", 1)
     both = ("--scheduler", "tcp://127.0.0.1:1", "--scheduler-file", tmp_path / "none.json")
     assert "one cluster" in refused(capsys, "fleet", *logs, "--out", out, *both)
     assert "found nothing" in refused(capsys, "fleet", *logs, "--out", out, *both[2:])
