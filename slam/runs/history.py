@@ -70,27 +70,19 @@ class History:
             document = json.loads(read_bytes(path))
             if not isinstance(document, dict) or document.get("format") != FORMAT:
                 raise LogError(path, f"expected the format {FORMAT!r}")
+            points = np.array(document.get("points_cm", [])).reshape(-1, 3)  # earlier versions kept none
             return cls(
                 {int(key): shape(value) for key, value in document["seen"].items()},
                 {int(key): tuple(map(str, value)) for key, value in document["kinds"].items()},
                 {str(kind): [_row(row) for row in rows] for kind, rows in document["nis"].items()},
                 {int(key): as_shape("pose", value, (6, 6)) for key, value in document["pose_covariances"].items()},
-                _points(document.get("points_cm", [])),  # earlier versions kept none
+                as_shape("points_cm", points, (None, 3)) / 100.0,
             )
 
 
 def in_cm(points: FloatArray) -> list[int]:
     """Points (N, 3) as whole centimetres, one number after another."""
     return np.rint(100.0 * points).astype(np.int64).ravel().tolist()
-
-
-def _points(numbers: Any) -> FloatArray:
-    if not (isinstance(numbers, list) and len(numbers) % 3 == 0):
-        raise ValueError("points_cm: expected three numbers for each point")
-    points = np.array(numbers, dtype=np.float64).reshape(-1, 3) / 100.0
-    if not np.isfinite(points).all():
-        raise ValueError("points_cm: expected finite numbers")
-    return points
 
 
 def _row(row: Any) -> tuple[int, float, int]:

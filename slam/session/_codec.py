@@ -45,10 +45,8 @@ _CLASSES: dict[str, type] = {
     )
 }
 #: Numbers an array may have, by their name in a record: floats, integers, booleans.
-_NUMBERS = {
-    np.dtype(one).newbyteorder("<").str: np.dtype(one).newbyteorder("<")
-    for one in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?", np.longdouble)
-}
+_NUMBER_TYPES = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?", np.longdouble)
+_NUMBERS = {kind.str: kind for kind in (np.dtype(one).newbyteorder("<") for one in _NUMBER_TYPES)}
 _LENGTH = struct.Struct("<I")
 #: What bytes that are none of ours may raise on their way into values.
 _WRONG_BYTES = (
