@@ -117,7 +117,7 @@ def damaged(path: Path, copy: Path, table: str, row: str) -> Path:
     """A copy of a session of which a row of a table has a byte too many."""
     copy.write_bytes(path.read_bytes())
     with sqlite3.connect(copy) as other:
-        other.execute(f"UPDATE {table} SET data = data || X'00' WHERE {row}")
+        other.execute(f"UPDATE {table} SET data = CAST(data || X'00' AS BLOB) WHERE {row}")
     return copy
 
 
