@@ -81,7 +81,7 @@ def put_in_place(work: Path, out: Path) -> Path | None:
     if not out.exists():
         os.replace(work, out)
         return None
-    aside = Path(tempfile.mkdtemp(prefix=_prefix_of_old(out), dir=out.parent)) / out.name
+    aside = Path(tempfile.mkdtemp(prefix=f".{out.name}-old-", dir=out.parent)) / out.name
     os.replace(out, aside)
     try:
         os.replace(work, out)
@@ -94,8 +94,5 @@ def put_in_place(work: Path, out: Path) -> Path | None:
 def replaced_by(out: Path) -> list[Path]:
     """Old folders that wait since `put_in_place` put others in their place, of runs that were killed as well."""
     # the name inside tells them from those of a folder whose name begins as this one's
-    return sorted(out.parent.glob(f"{glob.escape(_prefix_of_old(out))}*/{glob.escape(out.name)}"))
-
-
-def _prefix_of_old(out: Path) -> str:
-    return f".{out.name}-old-"
+    name = glob.escape(out.name)
+    return sorted(out.parent.glob(f".{name}-old-*/{name}"))

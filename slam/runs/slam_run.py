@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from slam.config import SlamConfig
 from slam.diagnostics.verdict import Verdict
 from slam.frontend.input_checks import KeyframeError
-from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
+from slam.frontend.keyframes import count_keyframes, keyframes_of
 from slam.frontend.range_noise import with_shown_errors
 from slam.io.plausibility import check_events
 from slam.io.trajectories import Trajectory
@@ -117,7 +117,10 @@ def run_slam(
 def _add_keyframes(
     slam: PlaneSlam, log: Log, rig: Rig, config: SlamConfig, jobs: int, progress: Progress | None
 ) -> Rig:
-    """Add the keyframes of a log that the estimator does not have; returns the rig with the noise that ranges show."""
+    """Add the keyframes of a log that the estimator does not have; returns the rig with the noise that ranges show.
+
+    Of one that is refused what it saw is left out, with a note.
+    """
     clock, done_before = slam.clock, len(slam.keyframes)
     with clock.stage("measure"):  # what shows the noise, and laser odometry, which says where keyframes are
         rig = with_shown_errors(log, rig)
@@ -127,20 +130,15 @@ def _add_keyframes(
             with clock.stage("measure"):
                 keyframe = next(frames)
             with clock.stage("estimate"):
-                _add(slam, keyframe, strict=config.keyframes.strict)
+                try:
+                    slam.add_keyframe(keyframe)
+                except KeyframeError as error:  # any other came after it had entered
+                    if config.keyframes.strict:
+                        raise
+                    slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
             if progress is not None:
                 progress(done + 1, total)
     return rig
-
-
-def _add(slam: PlaneSlam, keyframe: Keyframe, *, strict: bool) -> None:
-    """Add a keyframe; what it saw is left out, with a note, where it is refused."""
-    try:
-        slam.add_keyframe(keyframe)
-    except KeyframeError as error:  # any other came after it had entered
-        if strict:
-            raise
-        slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
 
 
 def path_length_m(trajectory: Trajectory) -> float:
