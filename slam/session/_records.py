@@ -67,11 +67,11 @@ class SessionRecords:
             raise SessionError(f"{self.path}: expected the parameters of a run, got others") from error
         self.prior = parameters["prior"]
         of_places = partial(decode, hint=list[tuple[int, tuple[PlaceMatch, ...]]])
-        places, start = self._read("session", "places"), self._read("session", "start")
+        places = self._checked(of_places, self._read("session", "places"), "the places that were found")
         #: Places found after the drive, by the keyframe that stands near them; a keyframe is read with its own.
-        self.places = {} if places is None else dict(self._checked(of_places, places, "the places that were found"))
+        self.places = dict(places or ())
         #: Start in the prior map, shape (4, 4), found after the drive; None: the one that the prior map says.
-        self.start = None if start is None else self._checked(_pose_of, start, "the start that was found")
+        self.start = self._checked(_pose_of, self._read("session", "start"), "the start that was found")
         self._last = b""
         self._root = digest(*(parameters[key] for key in _PARAMETERS))
         if damaged:  # nobody knows how many there were
@@ -135,8 +135,7 @@ class SessionRecords:
             if digest(self._digest_of(index), *row) != checksum:
                 raise self._damaged(index)
             _, sensor, stamp_ns, position, data = row
-            scan = None if data is None else self._checked(read, data, f"keyframe {index}")
-            found.append(RawScan(sensor, stamp_ns, position, scan))
+            found.append(RawScan(sensor, stamp_ns, position, self._checked(read, data, f"keyframe {index}")))
         return found
 
     def result(self, key: str) -> bytes | None:
@@ -175,9 +174,10 @@ class SessionRecords:
             raise self._damaged(index)
         return row[0]
 
-    def _checked(self, read: Callable[[bytes], Any], data: bytes, what: str) -> Any:
+    def _checked(self, read: Callable[[bytes], Any], data: bytes | None, what: str) -> Any:
+        """What a record says; None: there is none."""
         try:
-            return read(data)
+            return None if data is None else read(data)
         except ValueError as error:  # as a CodecError is
             raise SessionError(f"{self.path}: {what}: {error}") from error
 
