@@ -12,11 +12,6 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_covariance, check_instance
 
-#: Smallest eigenvalue of the correlation matrix below which a covariance counts as singular.
-_SINGULAR = 1e-12
-#: Standard deviations below this have no information that a float holds.
-_LEAST_SIGMA = 1e-25
-
 
 def as_key(name: str, value: object) -> int:
     """Return a GTSAM key (``gtsam.symbol("x", 3)`` or a plain integer)."""
@@ -97,7 +92,7 @@ def check_definite(name: str, covariances: FloatArray) -> None:
     scale = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
     smallest = np.linalg.eigvalsh(covariances / (safe[:, :, None] * safe[:, None, :]))[:, 0]
-    bad = np.flatnonzero((scale < _LEAST_SIGMA).any(axis=1) | (smallest < _SINGULAR))
+    bad = np.flatnonzero((scale < 1e-25).any(axis=1) | (smallest < 1e-12))  # no float holds 1 / sigma^2 of less
     if len(bad):
         where = f" at index {bad[0]}" if len(covariances) > 1 else ""
         raise ValueError(f"{name}: expected a positive definite covariance, got a singular one{where}")

@@ -15,6 +15,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from factors._custom import OF_POSE2
 from factors._kernels import unit_bases
 from spplanes._check import FloatArray, check_instance
 
@@ -22,10 +23,6 @@ from spplanes._check import FloatArray, check_instance
 SP_TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
 #: The way back: ``differential_sp = tangent_pose3[POSE3_TO_SP]``.
 POSE3_TO_SP = np.array([3, 4, 5, 2, 1, 0])
-
-
-#: Of (x, y, heading) in GTSAM's order.
-_IN_PLANE = np.ix_([3, 4, 2], [3, 4, 2])
 
 
 def planar_motion(
@@ -41,7 +38,7 @@ def planar_motion(
     x, y, theta = delta.tolist()
     z, roll, pitch = out_of_plane_sigmas
     full = np.zeros((6, 6))
-    full[_IN_PLANE] = in_frame_of_end(theta, 0.5 * (covariance + covariance.T))
+    full[np.ix_(OF_POSE2, OF_POSE2)] = in_frame_of_end(theta, 0.5 * (covariance + covariance.T))
     full[5, 5], full[0, 0], full[1, 1] = z**2, roll**2, pitch**2
     return gtsam.Pose3(gtsam.Rot3.Yaw(theta), np.array([x, y, 0.0])), full
 

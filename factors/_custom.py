@@ -22,6 +22,8 @@ _Kernel = Callable[..., tuple[FloatArray, FloatArray]]
 
 #: Of the frame of the world, as the kernels take it.
 IDENTITY = np.asfortranarray(np.eye(4))
+#: Where (x, y, yaw) of a Pose2 are in (rx, ry, rz, x, y, z) of a Pose3: the same right-hand tangent, to first order.
+OF_POSE2 = np.array([3, 4, 2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +190,7 @@ def _read(values: gtsam.Values, key: int | None, column: int, planar: bool) -> t
     pose = None if planar else held(values.atPose3, key)
     if pose is not None:
         return pose.matrix(), [slice(column, column + 6)]
-    return _planar_matrix(values.atPose2(key)), [column + _PLANAR]
+    return _planar_matrix(values.atPose2(key)), [column + OF_POSE2]
 
 
 @cache
@@ -197,10 +199,6 @@ def _kernel(name: str) -> _Kernel:
     from factors import _kernels
 
     return getattr(_kernels, f"{name}_error")
-
-
-#: (x, y, yaw) of a Pose2 within the (rx, ry, rz, x, y, z) of a Pose3: the same right-hand tangent, to first order.
-_PLANAR = np.array([3, 4, 2])
 
 
 def _planar_matrix(pose: gtsam.Pose2) -> FloatArray:

@@ -27,8 +27,6 @@ from factors.robust import resolve_robust
 from spplanes._check import check_instance
 
 _FORMAT = "spplanes-graph/1"
-#: What a document of our format without all of its content may raise on the way into a graph.
-_WRONG_CONTENT = (KeyError, TypeError, ValueError, AttributeError, IndexError, StopIteration, RuntimeError)
 
 
 class ArchiveError(ValueError):
@@ -64,7 +62,7 @@ def loads(text: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
             if written is not None:
                 graph.replace(i, _read(written))
         return graph, _read_values(document["values"])
-    except _WRONG_CONTENT as error:
+    except (LookupError, TypeError, ValueError, AttributeError, StopIteration, RuntimeError) as error:
         why = " ".join(str(error).split())[:80]
         raise ArchiveError(f"text: expected all of a graph, got a part of one or other ({why})") from error
 

@@ -10,18 +10,14 @@ import numpy as np
 from factors._check import as_keys, held, told_key
 from spplanes._check import FloatArray, as_count, as_positive, check_instance
 
-#: Step beyond which a variable is relinearised, rad or m. A tilt e of a plane d away neglects d e^2 / 2 of its
-#: distance: half a millimetre at 10 m.
-_THRESHOLD = 0.01
-_MOST_STEPS = 20
 
-
-def isam2_parameters(*, threshold: float = _THRESHOLD) -> gtsam.ISAM2Params:
+def isam2_parameters(*, threshold: float = 0.01) -> gtsam.ISAM2Params:
     """Parameters with which iSAM2 on planes gives what a batch gives, with `settle` after each update.
 
     GTSAM's own (relinearise at 0.1 rad or m, every tenth update) leave planes and poses linearised centimetres off, and
-    its covariances know nothing of it. Here whatever moves by ``threshold`` (rad or m) is relinearised at once, and
-    elimination is by QR: normal equations square a condition number that long corridors make large.
+    its covariances know nothing of it. Here whatever moves by ``threshold`` (rad or m) is relinearised at once: a tilt
+    e of a plane d away neglects d e^2 / 2 of its distance, half a millimetre at 10 m. Elimination is by QR: normal
+    equations square a condition number that long corridors make large.
     ValueError: a threshold that is not positive.
     """
     parameters = gtsam.ISAM2Params()
@@ -31,7 +27,7 @@ def isam2_parameters(*, threshold: float = _THRESHOLD) -> gtsam.ISAM2Params:
     return parameters
 
 
-def settle(isam: gtsam.ISAM2, *, most: int = _MOST_STEPS) -> int:
+def settle(isam: gtsam.ISAM2, *, most: int = 20) -> int:
     """Update until no variable is relinearised any more, or ``most`` times; returns the number of updates.
 
     One ``isam.update(graph, values)`` is one Gauss-Newton step: a new pose starts from where odometry put it, and one

@@ -13,13 +13,10 @@ from shapely.affinity import scale
 
 from factors._check import as_keys, held, plane_in, pose_in, told_key
 from factors._conventions import hesse_to_sp, landmark_hesse, oriented_plane, plane_frame, tangent_to_sp
-from factors._custom import IDENTITY, Recipe, describe
+from factors._custom import IDENTITY, OF_POSE2, Recipe, describe
 from factors._kernels import plane_seen_from
 from spplanes import Plane
 from spplanes._check import FloatArray, as_covariance, as_shape, as_transform, check_instance
-
-#: Where the tangent of a Pose2, (x, y, yaw), is in that of a Pose3, (rx, ry, rz, x, y, z).
-_OF_POSE2 = (3, 4, 2)
 
 
 def plane_landmark(plane: Plane, world_T_body: gtsam.Pose3 | ArrayLike | None = None) -> gtsam.OrientedPlane3:
@@ -214,7 +211,7 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
 
 def _joint(values: gtsam.Values, marginals: gtsam.Marginals, pose_keys: list[int], plane_key: int) -> FloatArray:
     """Joint covariance of poses and a plane; a Pose2 has no error out of its plane, 6 numbers as any."""
-    known = [range(6) if held(values.atPose2, key) is None else _OF_POSE2 for key in pose_keys]
+    known = [range(6) if held(values.atPose2, key) is None else OF_POSE2 for key in pose_keys]
     rows = [6 * i + row for i, own in enumerate([*known, range(3)]) for row in own]
     full = np.zeros((6 * len(pose_keys) + 3,) * 2)
     full[np.ix_(rows, rows)] = joint_covariance(marginals, [*pose_keys, plane_key])

@@ -14,12 +14,8 @@ from factors._custom import VelocityRecipe
 from factors.robust import Robust, with_robust
 from spplanes._check import FloatArray, as_number, as_positive, as_shape, as_transform
 
-_UP = np.array((0.0, 0.0, 1.0))
 #: Stated sigmas of what wheels do not measure in one step: z (m), roll (rad), pitch (rad).
 OUT_OF_PLANE_SIGMAS = (0.01, 0.005, 0.005)
-
-#: Stands for "no information": infinity does not survive GTSAM's text archives.
-_UNKNOWN_SIGMA = 1e8
 
 
 def pose_prior(
@@ -92,7 +88,7 @@ def gravity_factor(
     if not np.linalg.norm(up) > 0.0:
         raise ValueError(f"up_in_body: expected a direction, got {up.tolist()}")
     noise = with_robust(gtsam.noiseModel.Isotropic.Sigma(2, as_positive("sigma_rad", sigma_rad)), robust, 2)
-    return gtsam.AttitudeFactorPose3(as_key("pose_key", pose_key), gtsam.Unit3(_UP), noise, gtsam.Unit3(up))
+    return gtsam.AttitudeFactorPose3(as_key("pose_key", pose_key), gtsam.Unit3(0.0, 0.0, 1.0), noise, gtsam.Unit3(up))
 
 
 def _noise(covariance: ArrayLike, robust: Robust) -> gtsam.noiseModel.Base:
@@ -147,7 +143,7 @@ def planar_motion_factor(
     """
     key = as_key("pose_key", pose_key)
     z, roll, pitch = _sigmas("sigmas", sigmas)
-    free_xy = gtsam.noiseModel.Diagonal.Sigmas(np.array([_UNKNOWN_SIGMA, _UNKNOWN_SIGMA, z]))
+    free_xy = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e8, 1e8, z]))  # infinity does not survive GTSAM's archives
     graph = gtsam.NonlinearFactorGraph()
     at_height = np.array([0.0, 0.0, as_number("height", height)])
     graph.push_back(gtsam.PoseTranslationPrior3D(key, at_height, with_robust(free_xy, robust, 1)))

@@ -12,8 +12,6 @@ from factors._kernels import unit_basis
 from factors.robust import Robust
 from spplanes._check import FloatArray, as_number, as_positive, as_shape
 
-_UP = (0.0, 0.0, 1.0)
-
 
 def direction_prior(
     plane_key: int, direction: ArrayLike, sigma_rad: float, *, anchor_key: int | None = None, robust: Robust = None
@@ -32,7 +30,7 @@ def direction_prior(
 
 
 def upright_prior(
-    plane_key: int, sigma_rad: float, *, up: ArrayLike = _UP, anchor_key: int | None = None, robust: Robust = None
+    plane_key: int, sigma_rad: float, *, up: ArrayLike = (0, 0, 1), anchor_key: int | None = None, robust: Robust = None
 ) -> gtsam.CustomFactor:
     """The plane is plumb: its normal is at right angles to ``up`` (3,) in the world; one degree of freedom."""
     return _along(plane_key, _unit("up", up)[None], as_positive("sigma_rad", sigma_rad), anchor_key, robust)

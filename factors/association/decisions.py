@@ -10,10 +10,6 @@ from scipy.special import chdtrc
 
 from spplanes._check import as_number
 
-#: Where two landmarks could both be it, one that was seen this much farther from the observation is e times less
-#: likely, m: a level laser's line half a metre below a notice-board is of the wall behind the board.
-OUTLINE_GAP_SCALE_M = 0.2
-
 
 @dataclass(frozen=True)
 class AssociationGates:

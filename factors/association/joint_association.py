@@ -15,9 +15,6 @@ from factors.association.observations import Observation, PlaneObservation
 from factors.association.shortlist import Gaps, bounds_of, log_density, log_parallel_density, shortlist
 from factors.plane import get_ready
 
-#: So many other first matches are tried, each of another landmark.
-_TRIED = 4
-
 
 @dataclass(frozen=True, eq=False)
 class JointHypothesis:
@@ -106,7 +103,7 @@ class JointCompatibility:
         return decision, likelihood
 
     def _shut_out(self, found: JointHypothesis) -> list[tuple[int, int]]:
-        """Observations without a landmark that would have had one on their own, with it; each landmark once."""
+        """Observations without a landmark that would have had one on their own, with it; four landmarks, each once."""
         tried: dict[int, int] = {}
         for index in self._firmest_first():
             if found.decisions[index].match is not None or not self.hypotheses[index]:
@@ -115,7 +112,7 @@ class JointCompatibility:
             match = self._decide(index, candidates, self.state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
-        return [(index, landmark) for landmark, index in tried.items()][:_TRIED]
+        return [(index, landmark) for landmark, index in tried.items()][:4]
 
     def _decide(self, index: int, candidates: Sequence[Candidate], state: State) -> Decision:
         def within(landmark: int) -> bool:

@@ -20,9 +20,6 @@ from spplanes._check import FloatArray, as_number, as_positive, as_transform, ch
 from spplanes.outlines.extents import flatten, lift
 from spplanes.spmodel import skew
 
-#: Sine of the angle between a landmark and the scan plane from which on a line's factor is native.
-_MIN_CUT = 0.5
-
 
 @dataclass(frozen=True, eq=False)
 class PlaneObservation:
@@ -160,7 +157,7 @@ class LineObservation:
         if expected is not None:
             # a weight that depends on the expected direction is only as good as that: not for planes near the scan's
             cut = hypot(*(expected.normal().point3() @ self.body_T_sensor[:3, :2]).tolist())
-            expected = expected if cut >= _MIN_CUT else None
+            expected = expected if cut >= 0.5 else None
         return line_factor(
             self.line,
             self.body_T_sensor,

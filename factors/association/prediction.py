@@ -16,10 +16,6 @@ from factors.isam import isam_covariance
 from factors.landmarks import joint_covariance
 from spplanes._check import FloatArray, as_covariance, check_instance
 
-_POSE, _PLANE = 6, 3  # numbers in a tangent
-#: By no more than this, rad or m, does an estimate move that nothing was added to.
-_STILL = 1e-9
-
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -41,7 +37,7 @@ class Prediction:
         check_instance("values", self.values, gtsam.Values)
         object.__setattr__(self, "values", gtsam.Values(self.values))  # the caller's go on changing
         key = as_key("pose_key", self.pose_key)
-        if _size_of("pose_key", self.values, key) != _POSE:
+        if _size_of("pose_key", self.values, key) != 6:
             raise ValueError(f"pose_key: expected the key of a Pose3 in values, got {told_key(key)}, a plane")
 
     @classmethod
@@ -54,7 +50,7 @@ class Prediction:
         values = isam.calculateEstimate()
 
         def marginal(keys: list[int]) -> FloatArray:
-            if not values.equals(isam.calculateEstimate(), _STILL):
+            if not values.equals(isam.calculateEstimate(), 1e-9):  # nothing was added to it since
                 raise ValueError("prediction: expected that of isam as it is, got one from before its last update")
             return isam_covariance(isam, values, keys)
 
@@ -123,7 +119,7 @@ class Prediction:
 
 def _size_of(name: str, values: gtsam.Values, key: int) -> int:
     """Numbers in the tangent of a pose or a plane."""
-    for read, size in ((values.atPose3, _POSE), (values.atOrientedPlane3, _PLANE)):
+    for read, size in ((values.atPose3, 6), (values.atOrientedPlane3, 3)):
         if held(read, key) is not None:
             return size
     raise ValueError(f"{name}: expected the key of a Pose3 or an OrientedPlane3 in values, got {told_key(key)}")

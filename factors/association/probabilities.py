@@ -11,11 +11,6 @@ import numpy as np
 from factors.association.gating import Hypothesis, Innovation, State, innovations_of, log_parallel
 from factors.association.joint_association import JointCompatibility, JointHypothesis
 
-#: So many rival joint hypotheses are worked out at most, the likeliest first: each is a scan decided anew.
-_MOST_RIVALS = 32
-#: A joint hypothesis this much less probable than the best, in nats, weighs nothing.
-_NEGLIGIBLE = 20.0
-
 #: Probability of each landmark (its id), and by None that it is none of them.
 Posterior = dict[int | None, float]
 
@@ -37,7 +32,7 @@ def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Poste
     joint = _distinct([best, *(problem.decide_all(start) for start in _rivals(problem, best, gaps))])
     weighed = [_weigh(problem, one, gaps) for one in joint]
     logs = np.array([one.log_likelihood for one in weighed])
-    kept = np.flatnonzero(logs >= logs.max() - _NEGLIGIBLE)
+    kept = np.flatnonzero(logs >= logs.max() - 20.0)  # less than a billionth as likely
     weights = np.exp(logs[kept] - logs.max())
     found: list[Posterior] = [{} for _ in problem.hypotheses]
     for weight, number in zip((weights / weights.sum()).tolist(), kept.tolist(), strict=True):
@@ -66,7 +61,10 @@ def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
 def _rivals(
     problem: JointCompatibility, best: JointHypothesis, gaps: Sequence[dict[int, float]]
 ) -> list[tuple[int, int]]:
-    """Observations and other landmarks that they could be before anything is decided, the likeliest first."""
+    """Observations and other landmarks that they could be before anything is decided, the likeliest first.
+
+    At most 32: each is a scan decided anew.
+    """
     rivals = []
     for index, hypotheses in enumerate(problem.hypotheses):
         match, chance = best.decisions[index].match, problem.chances[index]
@@ -79,7 +77,7 @@ def _rivals(
         ]
         most = max((log for log, _ in passing), default=0.0)
         rivals += [(most - log, index, landmark) for log, landmark in passing if landmark != taken]
-    return [(index, landmark) for _, index, landmark in sorted(rivals)[:_MOST_RIVALS]]
+    return [(index, landmark) for _, index, landmark in sorted(rivals)[:32]]
 
 
 def _distinct(joint: Sequence[JointHypothesis]) -> list[JointHypothesis]:

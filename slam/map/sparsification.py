@@ -21,10 +21,8 @@ from slam.frontend.wheel_calibration import random_covariance, shared_covariance
 from slam.map.landmarks import LandmarkMap
 from spplanes._check import FloatArray
 
-#: Variance of a pose of which nothing is known, m^2 and rad^2.
-_UNKNOWN = 1e4
-#: A pose is known as well by less when no variance is larger by more than this factor: 10 % of a standard deviation.
-_AS_WELL = 1.2
+#: Covariance of a pose of which nothing is known, m^2 and rad^2.
+_UNKNOWN = 1e4 * np.eye(6)
 
 
 class PoseSupport:
@@ -35,8 +33,7 @@ class PoseSupport:
     """
 
     def __init__(self) -> None:
-        self._by_all = _UNKNOWN * np.eye(6)
-        self._by_late = _UNKNOWN * np.eye(6)
+        self._by_all = self._by_late = _UNKNOWN
         self._late_from = 0
         self.needed_from = 0
         """What was seen before this keyframe tells nothing of the newest pose that was not seen since."""
@@ -48,14 +45,14 @@ class PoseSupport:
         self._by_late = _seen(_moved(self._by_late, motion), information)
         root = np.linalg.cholesky(self._by_all)
         whitened = np.linalg.solve(root, np.linalg.solve(root, self._by_late).T)
-        if np.linalg.eigvalsh(0.5 * (whitened + whitened.T))[-1] <= _AS_WELL:
+        if np.linalg.eigvalsh(0.5 * (whitened + whitened.T))[-1] <= 1.2:  # as well, to 10 % of a standard deviation
             self.needed_from, self._late_from = self._late_from, keyframe
-            self._by_late = _seen(_UNKNOWN * np.eye(6), information)
+            self._by_late = _seen(_UNKNOWN, information)
 
 
 def _moved(covariance: FloatArray, motion: Motion | None) -> FloatArray:
     if motion is None:
-        return _UNKNOWN * np.eye(6)
+        return _UNKNOWN
     carry = gtsam.Pose3(motion.a_T_b).inverse().AdjointMap()
     return carry @ covariance @ carry.T + motion.spatial[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
 
@@ -65,10 +62,6 @@ def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:
     root = np.linalg.cholesky(covariance)
     half = np.linalg.solve(np.linalg.cholesky(np.eye(6) + root.T @ information @ root), root.T)
     return np.asarray(half.T @ half, dtype=np.float64)
-
-
-#: Most keyframes that leave at once: more would be a jolt.
-_AT_ONCE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +168,7 @@ class Sparsifier:
     def plan_removal(self, keyframe: int) -> Removal:
         """Before a keyframe comes: who goes, the last two excepted."""
         due = sorted(one for one in self._leaving if one < min(self._support.needed_from, keyframe - 1))
-        going = due[:_AT_ONCE]
+        going = due[:4]  # more at once would be a jolt
         self._leaving.difference_update(going)
         going = [one for one in going if self._after(one) in self._links]
         if not going:

@@ -18,12 +18,6 @@ from slam.map.landmarks import LandmarkMap
 from slam.tracking.prediction import Prediction
 from spplanes._check import FloatArray
 
-#: A motion of the pose that moves no measurement by more than this many of its sigmas a metre or radian is not found.
-_SILENT = 1e-2
-
-#: Two-sided probability of the band that a mean NIS is held against.
-BAND = 0.95
-
 
 @dataclass
 class NisAudit:
@@ -111,7 +105,7 @@ class NisSummary:
         """Summarise the measurements of one type."""
         total = float(np.sum([chi2 for _, chi2, _ in history]))
         dof = int(np.sum([dof for _, _, dof in history]))
-        low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - BAND) / 2, (1 + BAND) / 2]) / dof
+        low, high = 2.0 * gammaincinv(0.5 * dof, [(1 - 0.95) / 2, (1 + 0.95) / 2]) / dof
         return cls(kind, len(history), total / dof, float(low), float(high))
 
 
@@ -190,5 +184,5 @@ def innovations_without_prediction(linear: _Linearised) -> list[tuple[float, int
 def _left_over(residual: FloatArray, by_pose: FloatArray) -> tuple[float, int]:
     """What no pose explains of whitened residuals (n,) that depend on it by (n, 6): chi2 and degrees of freedom."""
     axes, sizes, _ = np.linalg.svd(by_pose, full_matrices=False)
-    explained = axes[:, sizes > _SILENT].T @ residual
+    explained = axes[:, sizes > 1e-2].T @ residual  # sigmas of a measurement a metre or radian
     return float(residual @ residual - explained @ explained), len(residual) - len(explained)

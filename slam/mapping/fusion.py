@@ -47,8 +47,6 @@ class Merge:
 
 #: After an undone merge the estimate goes back a long way: so often iSAM2 relinearises.
 _ROUNDS = 5
-#: A merge is looked at during so many keyframes whether it is seen or not: what bends the way is seen no more.
-_FRESH = 10
 
 
 class Merges:
@@ -176,8 +174,8 @@ class Merges:
             if merge.undone is not None or merge.next_look > now:
                 continue
             holder = self._holder(merge)
-            if now > merge.keyframe + _FRESH and holder.id not in seen:
-                continue
+            if now > merge.keyframe + 10 and holder.id not in seen:
+                continue  # before that seen or not: what bends the way is seen no more
             merge.next_look = now + max(2 * (now - merge.keyframe), 1)
             taken = self._taken(merge, holder)[:30]  # more say no more
             if not taken:  # all of it was seen from keyframes that have left the graph

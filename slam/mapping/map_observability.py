@@ -18,8 +18,6 @@ from slam.mapping.observability import NOTHING, OpenStretch, gathered, wide_dire
 from spplanes._check import FloatArray
 from spplanes._hesse import frame_from_hesse
 
-#: Keyframes that are looked at, evenly over the run: to each belong six columns of the inverse.
-_MOST = 24
 #: Standard deviation of the first keyframe, from which all others are counted, m and rad.
 _FIXED = 1e-6
 
@@ -56,7 +54,8 @@ def open_in_map(
             poses = backend.poses(pose_symbols(sightings.keyframes))
             jacobians = _derivatives(sightings, poses, normal, landmarks.placed(landmark.id).world_T_plane[:3, 3])
             information.see([rows[one] for one in sightings.keyframes], plane, jacobians)
-    looked_at = sorted({*np.linspace(1, len(held) - 1, min(_MOST, len(held) - 1)).round().astype(int).tolist()})
+    # two dozen, evenly over the run: to each belong six columns of the inverse
+    looked_at = sorted({*np.linspace(1, len(held) - 1, min(24, len(held) - 1)).round().astype(int).tolist()})
     found = information.covariances([6 * row for row in looked_at])
     open_ones = [
         direction
