@@ -20,6 +20,11 @@ def as_key(name: str, value: object) -> int:
     return int(value)
 
 
+def as_anchor(name: str, value: object) -> int | None:
+    """Return the GTSAM key of a pose in whose frame something is, or None: it is in the world."""
+    return None if value is None else as_key(name, value)
+
+
 def as_list(name: str, value: Any) -> list[Any]:
     """What a sequence holds; ValueError: it is none."""
     try:

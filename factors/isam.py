@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 
 from factors._check import as_keys, held, told_key
 from spplanes._check import FloatArray, as_count, as_positive, check_instance
@@ -57,14 +58,17 @@ def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]
     for key in names:
         if not (isam.valueExists(key) and values.exists(key)):
             raise ValueError(f"keys: expected variables of isam and of values, got {told_key(key)}")
-    linearised = isam.getLinearizationPoint()
-    joint = isam.jointMarginalCovariance(names)
-    full = np.block([[joint.at(row, column) for column in names] for row in names])
-    turn, end = np.eye(len(full)), 0
+    joint, turns = isam.jointMarginalCovariance(names), []
     for key in names:
-        first, end = end, end + len(joint.at(key, key))
-        there, here = (held(some.atOrientedPlane3, key) for some in (linearised, values))
-        if there is None or here is None:  # no plane
-            continue
-        turn[first : first + 2, first : first + 2] = here.normal().basis().T @ there.normal().basis()
-    return turn @ full @ turn.T
+        there, here = (held(some.atOrientedPlane3, key) for some in (isam.getLinearizationPoint(), values))
+        no_plane = there is None or here is None
+        turns.append(np.eye(len(joint.at(key, key))) if no_plane else tangent_turn(there, here))
+    turn = block_diag(*turns)
+    return turn @ joint.fullMatrix() @ turn.T
+
+
+def tangent_turn(there: gtsam.OrientedPlane3, here: gtsam.OrientedPlane3) -> FloatArray:
+    """Matrix (3, 3) that takes a tangent of a plane at one estimate of it to that at another."""
+    turn = np.eye(3)
+    turn[:2, :2] = here.normal().basis().T @ there.normal().basis()
+    return turn

@@ -199,14 +199,13 @@ def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
     try:
         if len(names) == 1:
             return np.asarray(marginals.marginalCovariance(names[0]))
-        joint = marginals.jointMarginalCovariance(names)
+        return marginals.jointMarginalCovariance(names).fullMatrix()
     except (IndexError, RuntimeError) as error:  # map::at
         missing = [told_key(key) for key in names if held(marginals.marginalCovariance, key) is None]
         if not missing:
             raise
         told = ", ".join(missing)
         raise ValueError(f"keys: expected variables of the graph that the marginals are of, got {told}") from error
-    return np.block([[joint.at(row, column) for column in names] for row in names])
 
 
 def _joint(values: gtsam.Values, marginals: gtsam.Marginals, pose_keys: list[int], plane_key: int) -> FloatArray:

@@ -10,7 +10,7 @@ import gtsam_unstable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_definite_covariance, as_key, check_distinct
+from factors._check import as_anchor, as_definite_covariance, as_key, check_distinct
 from factors._conventions import landmark_hesse, oriented_plane
 from factors._custom import Recipe
 from factors._kernels import GRAZING, two_point_information
@@ -130,14 +130,6 @@ def _recipe(
     points, sigma = _known_points(line)
     check_distinct(pose_key=pose_key, plane_key=plane_key)
     check_distinct(anchor_key=anchor_key, plane_key=plane_key)
-    return Recipe(
-        kernel="line",
-        data=(as_transform("body_T_sensor", body_T_sensor).copy(), points),
-        root_information=np.eye(2) / sigma,
-        dof=2,
-        plane_key=as_key("plane_key", plane_key),
-        pose_key=as_key("pose_key", pose_key),
-        anchor_key=None if anchor_key is None else as_key("anchor_key", anchor_key),
-        planar=planar,
-        robust=robust,
-    )
+    keys = as_key("plane_key", plane_key), as_key("pose_key", pose_key), as_anchor("anchor_key", anchor_key)
+    data = as_transform("body_T_sensor", body_T_sensor).copy(), points
+    return Recipe("line", data, np.eye(2) / sigma, 2, *keys, planar=planar, robust=robust)

@@ -11,7 +11,7 @@ import gtsam_unstable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key, as_keys, as_list, check_definite, check_distinct
+from factors._check import as_anchor, as_key, as_keys, as_list, check_definite, check_distinct
 from factors._conventions import (
     centre_root_informations,
     hesse_to_sp,
@@ -87,7 +87,7 @@ def plane_factors(
         return graph
     known: dict[int, int | None] = {}
     for one, pose, key, anchor in zip(_measured(planes), pose_keys, plane_keys, anchors, strict=True):
-        anchor_key = None if anchor is None else as_key("anchor_keys", anchor)
+        anchor_key = as_anchor("anchor_keys", anchor)
         check_anchor("anchor_keys", known, as_key("plane_keys", key), anchor_key)
         graph.push_back(one.factor(pose, key, anchor, robust))
     return graph
@@ -105,7 +105,7 @@ class _Measured:
     def factor(self, pose: int, key: int, anchor: int | None, robust: Robust) -> gtsam.NonlinearFactor:
         """The factor between these keys."""
         plane_key, pose_key = as_key("plane_key", key), as_key("pose_key", pose)
-        anchor_key = None if anchor is None else as_key("anchor_key", anchor)
+        anchor_key = as_anchor("anchor_key", anchor)
         if plane_key in (pose_key, anchor_key):
             check_distinct(pose_key=pose_key, plane_key=plane_key)
             check_distinct(anchor_key=anchor_key, plane_key=plane_key)
@@ -190,15 +190,7 @@ def map_prior(
     except np.linalg.LinAlgError as problem:
         raise ValueError("covariance: expected a positive definite covariance, got a singular one") from problem
     root = np.asarray(np.linalg.qr(root, mode="r"))
-    frames = tuple(plane.frame.copy() for plane in planes)
-    recipe = Recipe(
-        kernel="map",
-        data=frames,
-        root_information=root,
-        dof=len(root),
-        plane_key=keys[0],
-        reference_key=keys[1] if len(keys) > 1 else None,
-        more_keys=tuple(keys[2:]),
-        robust=robust,
-    )
+    frames, (first, *others) = tuple(plane.frame.copy() for plane in planes), keys
+    second, more = (others[0] if others else None), tuple(others[1:])
+    recipe = Recipe("map", frames, root, len(root), first, reference_key=second, more_keys=more, robust=robust)
     return recipe.factor()

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from factors._check import as_key, check_distinct, told_key
+from factors._check import as_anchor, as_key, check_distinct, told_key
 from factors._custom import Recipe
 from factors._kernels import unit_basis
 from factors.robust import Robust
@@ -93,15 +93,9 @@ def _along(
     plane_key: int, directions: FloatArray, sigma: float, anchor_key: int | None, robust: Robust
 ) -> gtsam.CustomFactor:
     check_distinct(anchor_key=anchor_key, plane_key=plane_key)
-    return Recipe(
-        kernel="direction",
-        data=(directions,),
-        root_information=np.eye(len(directions)) / sigma,
-        dof=len(directions),
-        plane_key=as_key("plane_key", plane_key),
-        anchor_key=None if anchor_key is None else as_key("anchor_key", anchor_key),
-        robust=robust,
-    ).factor()
+    key, anchor = as_key("plane_key", plane_key), as_anchor("anchor_key", anchor_key)
+    root, dof = np.eye(len(directions)) / sigma, len(directions)
+    return Recipe("direction", (directions,), root, dof, key, anchor_key=anchor, robust=robust).factor()
 
 
 def _pair(
@@ -118,17 +112,8 @@ def _pair(
         raise ValueError(f"plane_b: expected another landmark than plane_a, got the same key {told_key(plane_b)}")
     check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), anchor_a=anchor_a)
     check_distinct(plane_a=int(plane_a), plane_b=int(plane_b), anchor_b=anchor_b)
-    return Recipe(
-        kernel=kernel,
-        data=data,
-        root_information=root,
-        dof=dof,
-        plane_key=int(plane_b),
-        pose_key=None if anchor_a is None else as_key("anchor_a", anchor_a),
-        anchor_key=None if anchor_b is None else as_key("anchor_b", anchor_b),
-        reference_key=int(plane_a),
-        robust=robust,
-    ).factor()
+    keys = int(plane_b), as_anchor("anchor_a", anchor_a), as_anchor("anchor_b", anchor_b), int(plane_a)
+    return Recipe(kernel, data, root, dof, *keys, robust=robust).factor()
 
 
 def _unit(name: str, value: ArrayLike) -> FloatArray:

@@ -46,7 +46,8 @@ class State:
 
     def __init__(self, joint: KeyedCovariance) -> None:
         self._covariance = joint.full.copy()
-        self._mean = np.zeros(len(self._covariance))
+        self.mean = np.zeros(len(self._covariance))
+        """Of the tangents of all of them, in the order of the joint covariance."""
 
     def copy(self) -> State:
         """One that goes its own way."""
@@ -63,21 +64,16 @@ class State:
         candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
         return Innovation(candidate, hypothesis, residual, covariance)
 
-    def mean_of(self, columns: np.ndarray) -> FloatArray:
-        """Mean of the tangents of some columns (C,), shape (C,)."""
-        mean: FloatArray = self._mean[columns]
-        return mean
-
     def along(self, columns: np.ndarray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance of what a Jacobian (K, C) makes of the tangents of some columns (C,): (K,) and (K, K)."""
         covariance = jacobian @ self._covariance[columns[:, None], columns] @ jacobian.T
-        return jacobian @ self._mean[columns], covariance
+        return jacobian @ self.mean[columns], covariance
 
     def condition(self, innovation: Innovation) -> None:
         """Take an innovation in: the Kalman update."""
         spread = self._covariance[:, innovation.hypothesis.columns] @ innovation.hypothesis.jacobian.T
         gain = np.linalg.solve(innovation.covariance, spread.T).T
-        self._mean = self._mean + gain @ innovation.residual
+        self.mean = self.mean + gain @ innovation.residual
         self._covariance = self._covariance - gain @ spread.T
 
 

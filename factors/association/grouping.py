@@ -32,7 +32,8 @@ def group_planes(
     """
     limit = float(chdtri(3, gates.significance))
     planes = [observation.full_plane(tilt_sigma_rad) for observation in observations]
-    order = sorted(range(len(observations)), key=lambda index: (-_patch_size(observations[index]), index))
+    sizes = [float(np.linalg.norm(np.ptp(one.vertices, axis=0))) for one in observations]  # of their corners' boxes
+    order = sorted(range(len(observations)), key=lambda index: (-sizes[index], index))
     groups: list[list[int]] = []
     outlines: list[BaseGeometry] = []
 
@@ -55,9 +56,3 @@ def group_planes(
             groups.append([index])
             outlines.append(patch(index, index))
     return groups
-
-
-def _patch_size(observation: Observation) -> float:
-    """Extent of what was seen, m: the diagonal of its corners' box."""
-    vertices = observation.vertices
-    return float(np.linalg.norm(np.ptp(vertices, axis=0)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -36,11 +36,8 @@ class JointCompatibility:
     """Of every observation: log density of other planes about it, turned anyhow."""
     parallel_chances: Sequence[float]
     """Of every observation: log of how many others lie parallel to each of its landmarks, per m."""
-    away: Callable[[int, int], float]
-    """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies."""
-    within: Callable[[int, int, State], bool]
-    """Whether a landmark (its id) was seen so near to where a state has an observation (its index) that it may be it.
-    """
+    gaps: Gaps
+    """How far the landmarks are, as they were seen, from where the observations lie."""
     n_points: Sequence[int]
     """Of every observation: the more the firmer."""
     state: State
@@ -78,7 +75,7 @@ class JointCompatibility:
                     decision = replace(decision, candidates=tuple(compared))
                 else:
                     decision = self._decide(index, compared, state)
-                if stage == "clear" and is_open(decision, partial(self.away, index), self.gates):
+                if stage == "clear" and is_open(decision, partial(self.gaps.away, index), self.gates):
                     continue
                 decision, likelihood = self._take_in(decision, found, state, honest)
                 decisions[index], total = decision, total + likelihood
@@ -115,10 +112,8 @@ class JointCompatibility:
         return [(index, landmark) for landmark, index in tried.items()][:4]
 
     def _decide(self, index: int, candidates: Sequence[Candidate], state: State) -> Decision:
-        def within(landmark: int) -> bool:
-            return self.within(index, landmark, state)
-
-        return decide(index, candidates, self.chances[index], partial(self.away, index), within, self.gates)
+        away, within = partial(self.gaps.away, index), partial(self.gaps.within, index, state=state)
+        return decide(index, candidates, self.chances[index], away, within, self.gates)
 
     def _firmest_first(self) -> list[int]:
         return sorted(range(len(self.n_points)), key=lambda i: (-self.n_points[i], i))
@@ -158,24 +153,19 @@ def joint_compatibility(
         [one for one in found if (trusted is None or index in trusted) and (among is None or one.id in among)]
         for index, found in enumerate(near)
     ]
-    ordered = sorted({pose_key, *_keys_of(shortlists, hint)})
+    compared = [one for found in shortlists for one in found]
+    keys = {key for one in compared for key in (one.key, one.anchor_key) if key is not None}
+    ordered = sorted({pose_key, *keys, *([] if hint is None else hint.keys())})
     joint, values = estimate.joint_covariance(ordered), estimate.values_of(ordered)  # once: cheaper than for each pair
     get_ready([one.plane for one in observations if isinstance(one, PlaneObservation)])
     gaps = Gaps(observations, landmarks, pose_key, estimate, joint, gates)
     informed, honest, change = _informed(joint, hint, values), None, None
     if hint is not None:
-        honest, change = State(joint), informed.mean_of(joint.columns([pose_key]))
+        honest, change = State(joint), informed.mean[joint.columns([pose_key])]
     there, pairs = elsewhere(values, pose_key, change), zip(observations, shortlists, strict=True)
     hypotheses = [hypotheses_of(one, found, pose_key, joint, there, estimate, change) for one, found in pairs]
     n_points = [observation.n_points for observation in observations]
-    return JointCompatibility(hypotheses, chances, parallel, gaps.away, gaps.within, n_points, informed, honest, gates)
-
-
-def _keys_of(shortlists: Sequence[Sequence[Landmark]], hint: gtsam.NonlinearFactor | None) -> set[int]:
-    """Keys of all landmarks that anything is compared with, of their anchors, and of the hint."""
-    landmarks = [landmark for near in shortlists for landmark in near]
-    anchors = {landmark.anchor_key for landmark in landmarks if landmark.anchor_key is not None}
-    return {landmark.key for landmark in landmarks} | anchors | set([] if hint is None else hint.keys())
+    return JointCompatibility(hypotheses, chances, parallel, gaps, n_points, informed, honest, gates)
 
 
 def _informed(joint: KeyedCovariance, hint: gtsam.NonlinearFactor | None, values: gtsam.Values) -> State:

@@ -99,7 +99,8 @@ class LandmarkExtents:
         if key in self._landmarks:
             raise ValueError(f"plane_key: expected a new landmark's, got {told_key(key)}, which is there")
         body_T_plane = seen.full_plane(1.0)
-        anchor_T_body = _frame_in("anchor_key", anchor_key, values) @ _frame_of("pose_key", pose_key, values)
+        anchor_T_world = inverse_transform(_frame_of("anchor_key", anchor_key, values))
+        anchor_T_body = anchor_T_world @ _frame_of("pose_key", pose_key, values)
         if values.exists(key):
             plane_in("plane_key", values, key)
         extent = Extent(seen.patch_in(inverse_transform(body_T_plane.frame)))
@@ -122,7 +123,7 @@ class LandmarkExtents:
         `values` has the landmark and both anchors. ValueError: no landmark of that key, one of them not in values.
         """
         landmark = self[plane_key]
-        frame = _frame_in("anchor_key", anchor_key, values) @ place_all([landmark], values)[0]
+        frame = inverse_transform(_frame_of("anchor_key", anchor_key, values)) @ place_all([landmark], values)[0]
         return self._put(landmark.key, anchor_key, frame, landmark.extent, landmark.pose_keys)
 
     def _put(
@@ -151,14 +152,7 @@ def place_all(landmarks: list[LandmarkExtent], values: gtsam.Values) -> FloatArr
 
 def _frame_of(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
     """world_T_body of a pose in values; of None, the world."""
-    if key is None:
-        return np.eye(4)
-    return pose_in(name, values, key).matrix()
-
-
-def _frame_in(name: str, key: int | None, values: gtsam.Values) -> FloatArray:
-    """body_T_world of a pose in values; of None, the world."""
-    return inverse_transform(_frame_of(name, key, values))
+    return np.eye(4) if key is None else pose_in(name, values, key).matrix()
 
 
 def _told(key: object) -> str:

@@ -47,7 +47,7 @@ def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
     gaps = []
     for index, hypotheses in enumerate(problem.hypotheses):
         landmarks = [hypothesis.candidate.landmark for hypothesis in hypotheses]
-        away = {landmark: problem.away(index, landmark) for landmark in landmarks}
+        away = {landmark: problem.gaps.away(index, landmark) for landmark in landmarks}
         passing = [
             away[innovation.candidate.landmark]
             for innovation in innovations_of(hypotheses, problem.state)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -83,22 +82,17 @@ def _is_plausible(bounds: Bounds, landmark: Landmark, placed: PlacedPlane, world
     return landmark.extent.is_within(bounds.margin, bounds.observation.patch_in(plane_T_body))
 
 
+@dataclass(frozen=True, eq=False)
 class Gaps:
     """How far landmarks, as they were seen, are from where observations of a pose lie; each worked out once."""
 
-    def __init__(
-        self,
-        observations: Sequence[Observation],
-        landmarks: PlacedLandmarks[Landmark],
-        pose_key: int,
-        estimate: Estimate,
-        joint: KeyedCovariance,
-        gates: AssociationGates,
-    ) -> None:
-        self._observations, self._landmarks, self._gates = observations, landmarks, gates
-        self._pose_key, self._estimate, self._joint = pose_key, estimate, joint
-        self._world_T_body = estimate.pose(pose_key)
-        self._near = cache(self._distance)
+    observations: Sequence[Observation]
+    landmarks: PlacedLandmarks[Landmark]
+    pose_key: int
+    estimate: Estimate
+    joint: KeyedCovariance
+    gates: AssociationGates
+    _known: dict[tuple[int, int], float] = field(default_factory=dict)
 
     def away(self, index: int, landmark: int) -> float:
         """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies.
@@ -115,30 +109,33 @@ class Gaps:
         known to a metre all walls of a room in about one plane are near each other. What counts is how well the state
         knows, by now, where the observation is from the landmark.
         """
-        if self._near(index, landmark) < self._gates.gap_m:
+        if self._near(index, landmark) < self.gates.gap_m:
             return True
         shift, covariance = state.along(*self._by_tangents(index, landmark))
         sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-        bound = self._gates.gap_m + float(np.linalg.norm(shift)) + self._gates.bound_sigmas * sigma
-        return self._landmarks[landmark].extent.is_within(bound, self._patch_on(index, landmark))
+        bound = self.gates.gap_m + float(np.linalg.norm(shift)) + self.gates.bound_sigmas * sigma
+        return self.landmarks[landmark].extent.is_within(bound, self._patch_on(index, landmark))
 
-    def _distance(self, index: int, landmark: int) -> float:
-        """Of what was seen of both, along the landmark, m; at most the gates' gap."""
-        return self._landmarks[landmark].extent.distance(self._patch_on(index, landmark), self._gates.gap_m)
+    def _near(self, index: int, landmark: int) -> float:
+        """Distance of what was seen of both, along the landmark, m; at most the gates' gap."""
+        if (index, landmark) not in self._known:
+            extent, patch = self.landmarks[landmark].extent, self._patch_on(index, landmark)
+            self._known[index, landmark] = extent.distance(patch, self.gates.gap_m)
+        return self._known[index, landmark]
 
     def _patch_on(self, index: int, landmark: int) -> BaseGeometry:
         """What was seen of an observation, in (x, y) of the landmark's plane."""
-        plane_T_body = inverse_transform(self._landmarks.placed(landmark).world_T_plane) @ self._world_T_body
-        return self._observations[index].patch_in(plane_T_body)
+        plane_T_world = inverse_transform(self.landmarks.placed(landmark).world_T_plane)
+        return self.observations[index].patch_in(plane_T_world @ self.estimate.pose(self.pose_key))
 
     def _by_tangents(self, index: int, landmark: int) -> tuple[np.ndarray, FloatArray]:
         """Columns of pose and anchor in a joint covariance, and by them the observation's middle from the anchor."""
-        middle, rotation = self._observations[index].vertices.mean(axis=0), self._world_T_body[:3, :3]
-        keys, blocks = [self._pose_key], [rotation @ np.hstack((-skew(middle), np.eye(3)))]
-        anchor = self._landmarks[landmark].anchor_key
-        if anchor is not None and anchor != self._pose_key:
-            world_T_anchor = self._estimate.pose(anchor)
-            there = inverse_transform(world_T_anchor) @ self._world_T_body @ np.append(middle, 1.0)
+        middle, world_T_body = self.observations[index].vertices.mean(axis=0), self.estimate.pose(self.pose_key)
+        keys, blocks = [self.pose_key], [world_T_body[:3, :3] @ np.hstack((-skew(middle), np.eye(3)))]
+        anchor = self.landmarks[landmark].anchor_key
+        if anchor is not None and anchor != self.pose_key:
+            world_T_anchor = self.estimate.pose(anchor)
+            there = inverse_transform(world_T_anchor) @ world_T_body @ np.append(middle, 1.0)
             keys.append(anchor)
             blocks.append(world_T_anchor[:3, :3] @ np.hstack((skew(there[:3]), -np.eye(3))))
-        return self._joint.columns(keys), np.hstack(blocks)
+        return self.joint.columns(keys), np.hstack(blocks)

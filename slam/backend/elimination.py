@@ -14,8 +14,8 @@ from factors import isam2_parameters
 from slam.config import BackendConfig
 from slam.timing import StageClock, timed
 
-_POSES = ("x", "m")  # letters of their symbols: of a keyframe, of a prior map
-POSE_CODES = {ord(letter) for letter in _POSES}
+#: Letters of the symbols of poses: of a keyframe, of a prior map.
+POSE_CODES = tuple(map(ord, "xm"))
 #: All variables that have moved are relinearised at one of so many updates, two of which a keyframe takes; those in use
 #: at every one. An odd number: it falls on predictions and on what is seen in turn.
 _ALL_EVERY = 21
@@ -216,7 +216,7 @@ def _thresholds(config: BackendConfig) -> gtsam.ISAM2ThresholdMap:
     by 4 mrad, its height measured to 0.2 mm from every keyframe, says to 5 cm where the body is, each time.
     """
     thresholds, change = gtsam.ISAM2ThresholdMap(), config.relinearize_threshold
-    for letter in _POSES:
+    for letter in map(chr, POSE_CODES):
         thresholds.insert((letter, np.full(6, change)))
     tilt = min(config.relinearize_tilt_rad, change)
     thresholds.insert(("p", np.array((tilt, tilt, change))))

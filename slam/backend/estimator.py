@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from scipy.linalg import cho_factor, get_lapack_funcs
 
+from factors.isam import tangent_turn
 from slam.backend.elimination import POSE_CODES, BackendError, Elimination, first_line, is_pose
 from slam.backend.joint_covariance import STAYS, JointCovariance, SharedUnknown
 from slam.backend.marginalized_poses import PastPose, PastPoses
@@ -83,7 +84,7 @@ class Backend(Elimination):
         """world_T_body of many pose variables, shape (N, 4, 4)."""
         if self._table is None:
             here = np.array(list(self.values.keys()), dtype=np.int64)
-            here = here[np.isin(here >> 56, list(POSE_CODES))]
+            here = here[np.isin(here >> 56, POSE_CODES)]
             rows, poses = gtsam.utilities.extractPose3(self.values), np.tile(np.eye(4), (len(here), 1, 1))
             poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
             self._table = here, poses
@@ -215,16 +216,12 @@ class Backend(Elimination):
     def _to_estimate(self, key: int) -> FloatArray:
         """Matrix that takes a tangent at iSAM2's linearisation point to one at the estimate.
 
-        For a plane the two differ by more than second order: ``Unit3.basis()`` jumps where components of the normal
-        tie, so at every floor and every axis-aligned wall the two tangents may be turned by 90 deg. iSAM2's marginals
-        are those of its linearisation point.
+        iSAM2's marginals are those of the first; for planes the two differ by more than second order, as
+        `factors.isam_covariance` tells.
         """
         if is_pose(key):
             return STAYS
-        matrix = np.eye(3)
-        here, there = self.plane(key), self._isam.getLinearizationPoint().atOrientedPlane3(key)
-        matrix[:2, :2] = here.normal().basis().T @ there.normal().basis()
-        return matrix
+        return tangent_turn(self._isam.getLinearizationPoint().atOrientedPlane3(key), self.plane(key))
 
     def optimize_batch(self) -> gtsam.Values:
         """Levenberg-Marquardt on the same factors, started from the current estimate."""

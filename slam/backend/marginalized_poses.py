@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 
 from slam.geometry.frames import inverse
+from slam.lazy import Rows
 from spplanes._check import FloatArray
 
-#: A key of GTSAM is a letter and a number: that of poses, and the bits of the number.
-_POSE, _NUMBER = gtsam.symbol("x", 0) >> 56, (1 << 56) - 1
 #: Of a symmetric matrix (6, 6) the upper half.
 _UPPER = np.triu_indices(6)
-#: Numbers of one past pose, and how many of them are made room for at once.
-_NUMBERS, _ROWS = 12 + 36 + 21, 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,28 +41,23 @@ class PastPose:
 
 
 class PastPoses:
-    """All of them, by key: as numbers in blocks, for of a long mission nearly every pose is one."""
+    """All of them, by key: as rows of numbers, for of a long mission nearly every pose is one."""
 
     def __init__(self) -> None:
-        self._blocks: list[FloatArray] = []
-        #: By the number of the pose: key of its base; 0: it has not left.
-        self._bases = array("Q")
-        self._count = 0
+        #: Key of the base, rows 0 to 2 of where it is from there, what it carries, and the upper half of its spread.
+        self._rows = Rows("Q" + (12 + 36 + 21) * "d")
+        self._places: dict[int, int] = {}
 
     def __contains__(self, key: int) -> bool:
-        number = key & _NUMBER
-        return key >> 56 == _POSE and number < len(self._bases) and self._bases[number] > 0
+        return key in self._places
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._places)
 
     def add(self, key: int, past: PastPose) -> None:
         """Remember one."""
-        number, row = key & _NUMBER, self._row(key)
-        self._count += key not in self
-        self._bases[number] = past.base_key
-        row[:12], row[12:48] = past.base_T_pose[:3].ravel(), past.carry.ravel()
-        row[48:] = past.spread[_UPPER]
+        self._places[key] = len(self._rows)
+        self._rows.append((past.base_key, *past.base_T_pose[:3].flat, *past.carry.flat, *past.spread[_UPPER]))
 
     def pose(self, key: int, pose_of: Callable[[int], FloatArray]) -> FloatArray:
         """world_T_body (4, 4) by the pose of its base now."""
@@ -81,15 +71,8 @@ class PastPoses:
 
     def at(self, key: int) -> PastPose:
         """One of them."""
-        row, base_T_pose, spread = self._row(key), np.eye(4), np.empty((6, 6))
+        base_key, *numbers = self._rows.at(self._places[key])
+        row, base_T_pose, spread = np.array(numbers), np.eye(4), np.empty((6, 6))
         base_T_pose[:3] = row[:12].reshape(3, 4)
         spread[_UPPER] = spread.T[_UPPER] = row[48:]
-        return PastPose(self._bases[key & _NUMBER], base_T_pose, row[12:48].reshape(6, 6), spread)
-
-    def _row(self, key: int) -> FloatArray:
-        number = key & _NUMBER
-        while number >= len(self._bases):
-            self._bases.append(0)
-        while number >= _ROWS * len(self._blocks):
-            self._blocks.append(np.empty((_ROWS, _NUMBERS)))
-        return self._blocks[number // _ROWS][number % _ROWS]
+        return PastPose(base_key, base_T_pose, row[12:48].reshape(6, 6), spread)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import gtsam
@@ -64,8 +65,7 @@ def _seen(covariance: FloatArray, information: FloatArray) -> FloatArray:
     return np.asarray(half.T @ half, dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class Link:
+class Link(NamedTuple):
     """What ties a keyframe to the one before it in the graph."""
 
     motion: Motion
@@ -85,13 +85,12 @@ class MeasuredStep(NamedTuple):
     factor_index: int
 
 
-@dataclass(frozen=True, eq=False)
-class Removal:
+class Removal(NamedTuple):
     """What changes in the graph when keyframes leave it."""
 
-    motions: list[tuple[int, int, Motion]] = field(default_factory=list)
+    motions: Sequence[tuple[int, int, Motion]] = ()
     """Motions as measured to put in, each from a keyframe to a later one."""
-    stale: list[int] = field(default_factory=list)
+    stale: Sequence[int] = ()
     """Indices of the factors to take out."""
 
 
@@ -128,21 +127,21 @@ class Sparsifier:
         """Another factor links a keyframe to the one before it."""
         if keyframe in self._links:
             link = self._links[keyframe]
-            self._links[keyframe] = Link(link.motion, [*link.step, factor_index], link.floor)
+            self._links[keyframe] = link._replace(step=[*link.step, factor_index])
 
     def measured_steps(self) -> list[MeasuredStep]:
         """The steps that wheels measured, in order of time."""
-        by_wheels = [one for one, link in self._links.items() if link.motion.response is not None and link.step]
         return [
-            MeasuredStep(self._before(one), one, self._links[one].motion, self._links[one].step[0])
-            for one in sorted(by_wheels)
+            MeasuredStep(self._before(one), one, link.motion, link.step[0])
+            for one, link in sorted(self._links.items(), key=itemgetter(0))
+            if link.motion.response is not None and link.step
         ]
 
     def relinked(self, steps: Sequence[MeasuredStep], factor_indices: Sequence[int]) -> None:
         """The motions of steps have other factors now."""
         for step, index in zip(steps, factor_indices, strict=True):
             link = self._links[step.keyframe]
-            self._links[step.keyframe] = Link(link.motion, [index, *link.step[1:]], link.floor)
+            self._links[step.keyframe] = link._replace(step=[index, *link.step[1:]])
 
     def judge(self, keyframe: int, matched: Sequence[Observation], factors: Sequence[Any], *, may_leave: bool) -> bool:
         """Whether a keyframe need not stay: it saw known landmarks, by `factors`, and is of no other use."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import gtsam
@@ -228,15 +229,13 @@ class Merges:
         if not sightings:
             return
         values, factors, rest = gtsam.Values(), [], list(sightings)
+        estimate: Any = self._backend
         if initial:
             factors.append(self._founding_factor(rest.pop(0), target, values))
-        known = values if initial else self._backend.values_of([target.key])
-        world_T_anchor, plane = self._backend.pose(target.anchor_key), known.atOrientedPlane3(target.key)
+            estimate = SimpleNamespace(pose=self._backend.pose, plane=values.atOrientedPlane3)
         for one in rest:
-            pose_key = pose_symbol(one.keyframe)
-            anchor_T_body = inverse(world_T_anchor) @ self._backend.pose(pose_key)
-            expected = None if target.anchor_key == pose_key else plane.transform(gtsam.Pose3(anchor_T_body))
-            factors.append(self._observation(one).factor(pose_key, target.key, target.anchor_key, one.robust, expected))
+            pose_key, seen = pose_symbol(one.keyframe), self._observation(one)
+            factors.append(observation_factor(seen, pose_key, target, estimate, one.robust))
         old = [one.factor_index for one in sightings]
         indices = self._backend.update(factors, values, remove=old, relinearize=True)
         moved = {(one.keyframe, one.observation) for one in sightings}

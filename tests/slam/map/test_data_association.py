@@ -1,6 +1,7 @@
 """The arithmetic by which observations are told apart, and landmarks near a place, against numpy and scipy."""
 
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -117,9 +118,8 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
     hinted, without_hint = State(joint), State(joint)
     hinted.condition(hinted.innovation(hypothesis(1e-3)))
     sought, rules = [[hypothesis(1.0)]], AssociationGates()
-    problem = JointCompatibility(
-        sought, [-9.0], [-9.0], lambda *_: 0.0, lambda *_: True, [1], hinted, without_hint, rules
-    )
+    gaps = SimpleNamespace(away=lambda *_: 0.0, within=lambda *_, **__: True)
+    problem = JointCompatibility(sought, [-9.0], [-9.0], gaps, [1], hinted, without_hint, rules)
     decision = problem.best().decisions[0]
     assert decision.verdict == verdict
     if decision.match is not None:
