@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from math import log
 
 import numpy as np
@@ -31,13 +30,15 @@ def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Poste
     gaps = _gaps(problem)
     joint = _distinct([best, *(problem.decide_all(start) for start in _rivals(problem, best, gaps))])
     weighed = [_weigh(problem, one, gaps) for one in joint]
-    logs = np.array([one.log_likelihood for one in weighed])
+    logs = np.array([log_likelihood for log_likelihood, _, _ in weighed])
     kept = np.flatnonzero(logs >= logs.max() - 20.0)  # less than a billionth as likely
     weights = np.exp(logs[kept] - logs.max())
     found: list[Posterior] = [{} for _ in problem.hypotheses]
     for weight, number in zip((weights / weights.sum()).tolist(), kept.tolist(), strict=True):
-        for index, conditional in _conditionals(problem, weighed[number], gaps):
-            for landmark, probability in conditional.items():
+        _, matched, by_all = weighed[number]
+        by_others = dict(_each_left_out(problem.state, list(matched.items())))
+        for index, own in enumerate(gaps):
+            for landmark, probability in _conditional(problem, index, by_others.get(index, by_all), own).items():
                 found[index][landmark] = found[index].get(landmark, 0.0) + weight * probability
     return found
 
@@ -89,20 +90,12 @@ def _distinct(joint: Sequence[JointHypothesis]) -> list[JointHypothesis]:
     return list(known.values())
 
 
-@dataclass(frozen=True, eq=False)
-class _Weighed:
-    """A joint hypothesis as updates of the state."""
-
-    log_likelihood: float
-    matched: list[tuple[int, Hypothesis]]
-    """Observations that are a landmark, and that one's hypothesis."""
-    others: list[int]
-    state: State
-    """The state that knows all of them."""
-
-
-def _weigh(problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[dict[int, float]]) -> _Weighed:
-    state, matched, total = problem.state.copy(), [], 0.0
+def _weigh(
+    problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[dict[int, float]]
+) -> tuple[float, dict[int, Hypothesis], State]:
+    """Log likelihood of a joint hypothesis; which observations are a landmark by it; the state that knows them all."""
+    matched: dict[int, Hypothesis] = {}
+    state, total = problem.state.copy(), 0.0
     for index, hypotheses in enumerate(problem.hypotheses):
         match = joint.decisions[index].match
         taken = None if match is None else match.landmark
@@ -110,21 +103,11 @@ def _weigh(problem: JointCompatibility, joint: JointHypothesis, gaps: Sequence[d
             innovation = state.innovation(hypothesis)
             total += innovation.candidate.log_likelihood - gaps[index][hypothesis.candidate.landmark]
             state.condition(innovation)
-            matched.append((index, hypothesis))
-    others = sorted(set(range(len(problem.hypotheses))) - {index for index, _ in matched})
-    for index in others:
-        total += _log_none(problem, index, innovations_of(problem.hypotheses[index], state))
-    return _Weighed(total, matched, others, state)
-
-
-def _conditionals(
-    problem: JointCompatibility, known: _Weighed, gaps: Sequence[dict[int, float]]
-) -> Iterator[tuple[int, Posterior]]:
-    """Of every observation, its posterior given what the others are."""
-    for index, state in _each_left_out(problem.state, known.matched):
-        yield index, _conditional(problem, index, state, gaps[index])
-    for index in known.others:
-        yield index, _conditional(problem, index, known.state, gaps[index])
+            matched[index] = hypothesis
+    for index, hypotheses in enumerate(problem.hypotheses):
+        if index not in matched:
+            total += _log_none(problem, index, innovations_of(hypotheses, state))
+    return total, matched, state
 
 
 def _each_left_out(state: State, matched: Sequence[tuple[int, Hypothesis]]) -> Iterator[tuple[int, State]]:
