@@ -1,6 +1,7 @@
 """A room with a box in it, seen from one pose that is uncertain: for association with known answers."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -25,11 +26,8 @@ ROOM = (
 )
 MEASURED = np.diag([2e-3, 3e-3, 3e-3]) ** 2
 MAPPED = np.diag([3e-3, 2e-3, 2e-3]) ** 2
-
-
-def key(number: int) -> int:
-    """Key of a landmark."""
-    return gtsam.symbol("l", number)
+#: Key of a landmark, by its number.
+key = partial(gtsam.symbol, "l")
 
 
 def frame_of(normal: tuple[float, ...], centre: tuple[float, ...]) -> np.ndarray:

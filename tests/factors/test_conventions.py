@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import landmark_hesse, landmark_to_plane, plane_factor, plane_landmark
+from factors import landmark_hesse, plane_factor, plane_landmark
 from factors._conventions import SP_TO_POSE3, error_to_sp, oriented_plane, square_root_informations, tangent_to_sp
 from factors._kernels import unit_basis
 from tests.factors.factor_scenes import TIED_NORMALS, perturbed, random_normals, random_plane, random_pose, values_of
@@ -56,21 +56,6 @@ def test_error_to_sp_and_tangent_to_sp_recover_the_perturbation():
         np.testing.assert_allclose(np.tril(root, -1), 0.0)
         chi2 = p @ np.linalg.solve(plane.covariance, p)
         assert np.sum((root @ error) ** 2) == pytest.approx(chi2, rel=1e-3)
-
-
-def test_landmark_and_back():
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        plane = random_plane(rng)
-        to_sp = tangent_to_sp(plane.frame)
-        covariance = np.linalg.inv(to_sp) @ plane.covariance @ np.linalg.inv(to_sp).T
-        back = landmark_to_plane(plane_landmark(plane), covariance, centre=plane.centre)
-        np.testing.assert_allclose(back.normal, plane.normal, atol=1e-12)
-        np.testing.assert_allclose(back.centre, plane.centre, atol=1e-9)
-        turn = plane.frame[:3, :3].T @ back.frame[:3, :3]
-        c, s = turn[0, 0], turn[1, 0]
-        spin = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])  # theta' = c theta - s psi, psi' = s theta + c psi
-        np.testing.assert_allclose(back.covariance, spin @ plane.covariance @ spin.T, atol=1e-12)
 
 
 def test_plane_in_the_world():

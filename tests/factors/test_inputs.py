@@ -31,7 +31,6 @@ from factors import (
     settle,
     world_plane,
 )
-from factors.line import decorrelated_points
 from factors.robust import with_robust
 from spplanes import Location, Plane, ScanLine
 from spplanes._check import as_shape
@@ -155,17 +154,6 @@ def test_a_plane_parallel_to_the_scan_plane(tilt):
         factor = line_factor(random_line(rng), np.eye(4), X, L)
         assert np.abs(factor.unwhitenedError(values)).max() < 60.0
         assert_jacobian(factor, values, tolerance=1e-5)
-
-
-def test_two_points_carry_the_covariance_of_a_line():
-    """Errors at the points, to first order drho - s dalpha: independent, equal, and together exactly C."""
-    for seed in range(50):
-        line = random_line(np.random.default_rng(seed))
-        points, sigma = decorrelated_points(line)
-        direction = np.array([-np.sin(line.alpha), np.cos(line.alpha)])
-        to_points = np.column_stack([-points @ direction, np.ones(2)])
-        np.testing.assert_allclose(to_points @ line.covariance @ to_points.T, sigma**2 * np.eye(2), atol=1e-12)
-        np.testing.assert_allclose(points @ [np.cos(line.alpha), np.sin(line.alpha)], line.rho)
 
 
 @pytest.mark.parametrize(

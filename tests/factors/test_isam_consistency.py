@@ -30,14 +30,7 @@ WALLS = [
 STEP_SIGMAS = np.array([0.05, 0.05, 0.02, 0.05, 0.02, 0.02])
 PLANE_SIGMAS = np.array([0.001, 0.0006, 0.0006])
 TO_POSE3 = np.array([5, 4, 3, 0, 1, 2])
-
-
-def x(i: int) -> int:
-    return gtsam.symbol("x", i)
-
-
-def plane_key(j: int) -> int:
-    return gtsam.symbol("l", j)
+x, plane_key = partial(gtsam.symbol, "x"), partial(gtsam.symbol, "l")
 
 
 def drive() -> list[gtsam.Pose3]:

@@ -13,6 +13,7 @@ from slam.backend.elimination import _ALL_EVERY
 from slam.backend.estimator import Backend, BackendError, pose_symbol
 from slam.config import SlamConfig
 from slam.geometry.frames import planar_transform
+from tests.factors.factor_scenes import graph_of, values_of
 from tests.slam.short_drives import mapped_beginning
 
 
@@ -49,11 +50,9 @@ def test_a_covariance_of_many_variables_is_the_same_by_the_graph_as_by_the_tree(
 STEP = planar_transform(1.0, 0.0, 0.0)
 
 
-def at_origin(*keys: int) -> gtsam.Values:
-    values = gtsam.Values()
-    for key in keys:
-        values.insert(key, gtsam.Pose3())
-    return values
+def at(*indices: int, step_m: float = 0.0) -> gtsam.Values:
+    """Keyframes that far from one to the next."""
+    return values_of(**{f"x{index}": gtsam.Pose3(gtsam.Rot3(), [step_m * index, 0, 0]) for index in indices})
 
 
 def cliques(backend: Backend) -> list[set[str]]:
@@ -64,8 +63,7 @@ def cliques(backend: Backend) -> list[set[str]]:
 def test_what_is_asked_about_is_near_where_the_tree_begins_and_the_estimate_stays() -> None:
     backend, keys = Backend(SlamConfig().backend), [pose_symbol(index) for index in range(40)]
     for index, key in enumerate(keys):
-        initial = gtsam.Values()
-        initial.insert(key, gtsam.Pose3(np.linalg.matrix_power(STEP, index)))
+        initial = at(index, step_m=1.0)
         step = relative_pose_factor(keys[index - 1], key, STEP, 1e-4 * np.eye(6)) if index else None
         backend.update([step or pose_prior(key, np.eye(4), np.eye(6))], initial)
     asked = [keys[3], keys[17]]
@@ -80,16 +78,13 @@ def walk(backend: Backend | gtsam.ISAM2, sigmas: np.ndarray) -> list[int]:
     """Put five poses a step apart into a graph, each known so well, (x, y, z, phi, theta, psi); their keys."""
     keys = [pose_symbol(index) for index in range(5)]
     for index, key in enumerate(keys):
-        there, initial = np.linalg.matrix_power(STEP, index), gtsam.Values()
+        there = np.linalg.matrix_power(STEP, index)
         factors = [pose_prior(key, there, np.diag(sigmas**2))]
         if index:
             factors.append(relative_pose_factor(keys[index - 1], key, STEP, 1e-4 * np.eye(6)))
-        initial.insert(key, gtsam.Pose3(there))
+        initial = at(index, step_m=1.0)
         if isinstance(backend, gtsam.ISAM2):
-            graph = gtsam.NonlinearFactorGraph()
-            for factor in factors:
-                graph.push_back(factor)
-            backend.update(graph, initial)
+            backend.update(graph_of(*factors), initial)
         else:
             n_before = backend.graph.size()
             assert backend.update(factors, initial) == list(range(n_before, n_before + len(factors)))
@@ -120,14 +115,14 @@ def test_what_cholesky_calls_indeterminate_is_solved_all_the_same() -> None:
 def test_a_graph_that_nothing_solves_is_refused() -> None:
     keys = pose_symbol(0), pose_symbol(1)
     with pytest.raises(BackendError, match="Indeterminate"):
-        Backend(SlamConfig().backend).update([relative_pose_factor(*keys, np.eye(4), np.eye(6))], at_origin(*keys))
+        Backend(SlamConfig().backend).update([relative_pose_factor(*keys, np.eye(4), np.eye(6))], at(0, 1))
 
 
 def test_a_variable_that_is_there_already_is_refused() -> None:
     backend, key = Backend(SlamConfig().backend), pose_symbol(0)
-    backend.update([pose_prior(key, np.eye(4), np.eye(6))], at_origin(key))
+    backend.update([pose_prior(key, np.eye(4), np.eye(6))], at(0))
     with pytest.raises(BackendError, match="already exists"):
-        backend.update([pose_prior(key, np.eye(4), np.eye(6))], at_origin(key))
+        backend.update([pose_prior(key, np.eye(4), np.eye(6))], at(0))
 
 
 def test_a_covariance_that_the_tree_cannot_give_is_read_by_qr(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +154,7 @@ def test_a_floor_does_not_say_where_along_it_the_body_is():
 def test_what_is_in_use_is_relinearised_at_once_and_the_rest_of_the_way_soon():
     backend, sigmas, keys = Backend(SlamConfig().backend), np.eye(6), [pose_symbol(index) for index in range(30)]
     steps = [relative_pose_factor(a, b, np.eye(4), 1e-4 * sigmas) for a, b in pairwise(keys)]
-    backend.update([pose_prior(keys[0], np.eye(4), sigmas), *steps], at_origin(*keys))
+    backend.update([pose_prior(keys[0], np.eye(4), sigmas), *steps], at(*range(30)))
     there = planar_transform(0.1, 0.0, 0.0)
 
     def off(index: int) -> float:

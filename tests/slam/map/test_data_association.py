@@ -19,6 +19,7 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import planar_transform
 from slam.map.landmarks import LandmarkMap
 from spplanes import Plane
+from tests.factors.association_scenes import frame_of
 from tests.slam.scenes import NOISE, PERIOD_NS
 
 
@@ -41,11 +42,7 @@ def test_p_value_is_that_of_the_chi2_distribution(dof: int, chi2: float):
 
 def seen(normal: tuple[float, float, float], d: float, n_points: int, half_m: float) -> PlaneObservation:
     """A wall at x = 0 of the body, measured to 1 mm and 2 mrad without error."""
-    frame = np.eye(4)
-    frame[:3, 2] = normal
-    frame[:3, 0] = (1.0, 0.0, 0.0) if normal[0] == 0.0 else (0.0, 1.0, 0.0)
-    frame[:3, 1] = np.cross(frame[:3, 2], frame[:3, 0])
-    frame[:3, 3] = d * frame[:3, 2]
+    frame = frame_of(normal, tuple(d * np.array(normal)))
     return PlaneObservation(Plane(frame, np.diag([1e-3, 2e-3, 2e-3]) ** 2, n_points, box(-half_m, -1.0, half_m, 1.0)))
 
 
