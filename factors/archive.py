@@ -129,7 +129,7 @@ def _written(factor: gtsam.NonlinearFactor, index: int) -> dict[str, Any]:
         plain = {**vars(recipe), "robust": resolve_robust(recipe.robust, recipe.dof)}
         return {"velocity" if isinstance(recipe, VelocityRecipe) else "custom": plain}
     try:
-        return {"gtsam": _alone(factor)}
+        return {"gtsam": _alone(factor).serialize()}
     except RuntimeError as error:
         kind = type(factor).__name__
         raise ArchiveError(f"factor {index}: GTSAM cannot archive a {kind} ({str(error).splitlines()[0]})") from error
@@ -169,14 +169,14 @@ def _native(factor: gtsam.NoiseModelFactor, carrier: type) -> dict[str, Any]:
     columns = np.column_stack(errors)
     distance = columns[2, 0] if len(columns) == 3 else 0.0
     measured = [*np.cross(columns[0], columns[1]), distance]
-    noise = _alone(carrier(0, np.zeros(len(columns)), factor.noiseModel()))
+    noise = _alone(carrier(0, np.zeros(len(columns)), factor.noiseModel())).serialize()
     return {"keys": keys, "measured": measured, "noise": noise}
 
 
-def _alone(factor: gtsam.NonlinearFactor) -> str:
+def _alone(factor: gtsam.NonlinearFactor) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
     graph.push_back(factor)
-    return graph.serialize()
+    return graph
 
 
 def _from_alone(text: str) -> Any:
@@ -222,10 +222,8 @@ def _read_values(written: dict[str, Any] | None) -> gtsam.Values:
 
 
 def _taken_apart(factor: Any) -> tuple[Callable[[str], Any], tuple[str]]:
-    graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(factor)
     try:
-        return _put_together, (dumps(graph),)
+        return _put_together, (dumps(_alone(factor)),)
     except ArchiveError as error:
         raise TypeError(f"cannot pickle {type(factor).__name__!r} object: {error}") from error
 

@@ -19,16 +19,9 @@ def group_planes(
 ) -> list[list[int]]:
     """Gather measurements from one pose that are one plane; the first of each group is the largest.
 
-    They share a pose, so the chi2 of two of them needs no state: it is that of two planes of one frame.
-
-    Args:
-        observations: all from one pose.
-        gates: significance and gap within which two are one.
-        tilt_sigma_rad: how far the wall of a line may lean from the normal of its scan plane, rad.
-        may_start: of each observation: whether it makes a group; those that do not may join one.
-
-    Returns:
-        Groups of indices into `observations`, in order of their first member.
+    They share a pose, so the chi2 of two of them needs no state: it is that of two planes of one frame. The wall of a
+    line may lean by `tilt_sigma_rad` from the normal of its scan plane. Whether each `may_start` a group is given;
+    those that may not can join one.
     """
     limit = float(chdtri(3, gates.significance))
     planes = [observation.full_plane(tilt_sigma_rad) for observation in observations]

@@ -19,8 +19,7 @@ POSE_CODES = tuple(map(ord, "xm"))
 #: All variables that have moved are relinearised at one of so many updates, two of which a keyframe takes; those in use
 #: at every one. An odd number: it falls on predictions and on what is seen in turn.
 _ALL_EVERY = 21
-#: Variables of so many updates and questions stay where the tree begins: about three keyframes.
-_RECENT = 10
+
 #: What GTSAM says, in Python by a RuntimeError as any other, when elimination fails.
 INDETERMINATE = "Indeterminate linear system"
 #: Arguments of an update that adds and removes nothing.
@@ -45,7 +44,8 @@ class Elimination(ABC):
         self._isam = self._empty("CHOLESKY")
         self._n_updates = 0
         self._used: set[int] = set()
-        self._recent: deque[set[int]] = deque(maxlen=_RECENT)
+        #: The variables of the last updates and questions, about three keyframes: they stay where the tree begins.
+        self._recent: deque[set[int]] = deque(maxlen=10)
         self._not_in_use = gtsam.KeyList()
         self._listed: set[int] = set()  # in that list, which cannot be read
         self._forget()
@@ -68,10 +68,7 @@ class Elimination(ABC):
 
         Of what has moved the variables in use, those of these factors and of the ones before, are relinearised first:
         gates are drawn and estimates made by them. The others, which a correction moves a little all along the way, are
-        every so often, and where `relinearize` asks for it, once more after.
-
-        Raises:
-            BackendError: the system became indeterminate.
+        every so often, and where `relinearize` asks for it, once more after. BackendError: it became indeterminate.
         """
         given = list(factors)
         used = {key for factor in given for key in list(factor.keys())}
@@ -128,9 +125,7 @@ class Elimination(ABC):
 
         Everything is eliminated anew in an order that suits the new graph. By itself iSAM2 puts the variables that
         changed last: where the ends of a long loop became one (470 factors of 6097) that took 1.03 s, this 0.15 s.
-
-        Raises:
-            BackendError: the system became indeterminate.
+        BackendError: the system became indeterminate.
         """
         staying = _key_list(set(self._isam.getLinearizationPoint().keys()).difference(leaving))
         return self._step(_graph_of(factors), gtsam.Values(), list(remove), None, None, staying)[0]

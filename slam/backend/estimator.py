@@ -164,8 +164,7 @@ class Backend(Elimination):
             key: of the variable.
             instead: those factors, by the indices of the ones they stand for, linearised at `values`.
 
-        Raises:
-            BackendError: the system became indeterminate.
+        BackendError: the system became indeterminate.
         """
         ours, values, linear = self._isam.getFactorsUnsafe(), self.values, gtsam.GaussianFactorGraph()
         for index in range(ours.size()):

@@ -29,15 +29,9 @@ def associate(
     among: Collection[int] | None = None,
     trusted: Collection[int] | None = None,
 ) -> list[Decision]:
-    """Decide for every observation of a keyframe whose pose is already predicted in the graph.
+    """Decide for every observation of a keyframe, in their order, whose pose is already predicted in the graph.
 
-    See `factors.association.joint_association` for how. With a `hint`, such as all returns give, the
-    decisions are made by a state that knows it, and gated by one that does not.
-
-    Only the landmarks `among` are looked at when it is given, and only for the observations `trusted`.
-
-    Returns:
-        One decision for each observation, in their order.
+    As `joint_compatibility` does, whose arguments these are; a `hint` is such as all returns give.
     """
     known = None if hint is None else hint.motion.factor(hint.key, pose_key)
     problem = joint_compatibility(

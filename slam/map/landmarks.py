@@ -79,9 +79,8 @@ class Landmark:
         if self._counted[0] is not self.sightings or self._counted[1] > len(self.sightings):
             self._counted, self._seen_from = (self.sightings, 0), []
         for sighting in self.sightings[self._counted[1] :]:
-            place = bisect_left(self._seen_from, sighting.keyframe)
-            if place == len(self._seen_from) or self._seen_from[place] != sighting.keyframe:
-                self._seen_from.insert(place, sighting.keyframe)
+            if not _is_any_between(self._seen_from, sighting.keyframe, sighting.keyframe):
+                insort(self._seen_from, sighting.keyframe)
         self._counted = (self.sightings, len(self.sightings))
         return self._seen_from
 

@@ -235,8 +235,6 @@ def information_gain(factors: Sequence[Any], pose_key: int, backend: Backend) ->
         wide = np.zeros((len(jacobian), len(covariance)))
         wide[:, known.columns(list(linear.keys()))] = jacobian
         rows.append(wide[np.abs(jacobian).max(axis=1) > 0.0])
-    if not rows:
-        return 0.0
     stacked = np.vstack(rows)
     own = known.columns([pose_key])
     given_rest = np.asarray(np.linalg.inv(np.linalg.inv(covariance)[np.ix_(own, own)]), dtype=np.float64)

@@ -234,7 +234,7 @@ class Merges:
             factors.append(self._founding_factor(rest.pop(0), target, values))
             estimate = SimpleNamespace(pose=self._backend.pose, plane=values.atOrientedPlane3)
         for one in rest:
-            pose_key, seen = pose_symbol(one.keyframe), self._observation(one)
+            seen, pose_key = self._observation(one), pose_symbol(one.keyframe)
             factors.append(observation_factor(seen, pose_key, target, estimate, one.robust))
         old = [one.factor_index for one in sightings]
         indices = self._backend.update(factors, values, remove=old, relinearize=True)

@@ -55,13 +55,10 @@ class Insertion:
     """An observation on its way into the graph."""
 
     landmark: Landmark
-    """What it is of."""
     observation: Observation
-    """The measurement."""
     number: int
-    """Its index in the keyframe."""
+    """Of the observation in the keyframe."""
     factor: Any
-    """Its factor."""
     plane_T_body: FloatArray
     """The keyframe's body in the landmark's plane frame, shape (4, 4)."""
 

@@ -19,7 +19,7 @@ from tests.factors.factor_scenes import (
 )
 
 SEEDS = range(200)
-X1, A1, L1 = (gtsam.symbol(letter, 1) for letter in "xal")
+A1, L1 = (gtsam.symbol(letter, 1) for letter in "al")
 HOMES = [(None, None), (A, None), (None, A1), (A, A1), (A, A)]
 
 
@@ -76,17 +76,3 @@ def test_factors_of_two_landmarks(anchor_a, anchor_b):
         gap = factors.distance_factor(L, L1, 1.5, 0.1, at=rng.normal(size=3), **where)
         if factors.perpendicular_factor(L, L1, 1e-3, **where).error(values) > 1.0:  # at right angles its sign jumps
             assert_jacobian(gap, values)
-
-
-def test_odometry_and_planar_motion():
-    for seed in SEEDS:
-        rng = np.random.default_rng(seed)
-        values, delta = scene(rng), rng.normal(size=3)
-        near = values.atPose3(X1).compose(gtsam.Pose3(gtsam.Rot3.Yaw(delta[2]), np.array([*delta[:2], 0.0])))
-        values.update(X, near.retract(0.1 * rng.normal(size=6)))
-        assert_jacobian(factors.odometry_factor(X1, X, delta, np.diag([0.1, 0.2, 0.3]) ** 2), values)
-        motion = factors.planar_motion_factor(X, height=0.3)
-        for i in range(motion.size()):
-            assert_jacobian(motion.at(i), values)
-        flat = values_of(x0=gtsam.Pose2(*rng.normal(size=3)), x1=gtsam.Pose2(*rng.normal(size=3)))
-        assert_jacobian(factors.odometry_factor_2d(X1, X, delta, np.diag([0.1, 0.2, 0.3]) ** 2), flat)
