@@ -58,7 +58,7 @@ class Elimination(ABC):
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """Every factor still in the graph."""
         factors = self._isam.getFactorsUnsafe()
-        return _graph_of(factors.at(index) for index in range(factors.size()) if factors.exists(index))
+        return graph_of(factors.at(index) for index in range(factors.size()) if factors.exists(index))
 
     @timed("optimise")
     def update(
@@ -73,7 +73,7 @@ class Elimination(ABC):
         given = list(factors)
         used = {key for factor in given for key in list(factor.keys())}
         held = None if relinearize else self._out_of_use(used)
-        indices, _ = self._step(_graph_of(given), initial, list(remove), self._eliminated_last(used), held)
+        indices, _ = self._step(graph_of(given), initial, list(remove), self._eliminated_last(used), held)
         if relinearize:
             self._step()
         return indices
@@ -128,7 +128,7 @@ class Elimination(ABC):
         BackendError: the system became indeterminate.
         """
         staying = _key_list(set(self._isam.getLinearizationPoint().keys()).difference(leaving))
-        return self._step(_graph_of(factors), gtsam.Values(), list(remove), None, None, staying)[0]
+        return self._step(graph_of(factors), gtsam.Values(), list(remove), None, None, staying)[0]
 
     @timed("optimise")
     def settle(self, rounds: int) -> None:
@@ -197,7 +197,8 @@ def _key_list(keys: Iterable[int]) -> gtsam.KeyList:
     return ascending
 
 
-def _graph_of(factors: Iterable[Any]) -> gtsam.NonlinearFactorGraph:
+def graph_of(factors: Iterable[Any]) -> gtsam.NonlinearFactorGraph:
+    """A graph of these factors."""
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
         graph.push_back(factor)

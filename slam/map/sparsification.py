@@ -12,8 +12,8 @@ import gtsam
 import numpy as np
 
 from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
-from factors.association.estimate import KeyedCovariance
 from factors.association.observations import Observation
+from slam.backend.elimination import graph_of
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, information_as_seen
@@ -225,20 +225,14 @@ def information_gain(factors: Sequence[Any], pose_key: int, backend: Backend) ->
     covariance before and X that of the pose when all else is known, it is half of log det(A P A^T + I) less half of
     log det(A_x X A_x^T + I). Of a landmark known as well as n measurements make it, another such tells 1 / (2 n).
     """
-    keys = sorted({key for factor in factors for key in list(factor.keys())} | {pose_key})
-    joint, values = backend.joint_covariance(keys), backend.values_of(keys)
-    known = KeyedCovariance(keys, joint.of(keys), [len(joint.columns([key])) for key in keys])
-    rows, covariance = [], known.full
-    for factor in factors:
-        linear = factor.linearize(values)
-        jacobian, _ = linear.jacobian()
-        wide = np.zeros((len(jacobian), len(covariance)))
-        wide[:, known.columns(list(linear.keys()))] = jacobian
-        rows.append(wide[np.abs(jacobian).max(axis=1) > 0.0])
-    stacked = np.vstack(rows)
-    own = known.columns([pose_key])
+    graph = graph_of(factors)
+    keys = sorted(graph.keyVector())
+    joint = backend.joint_covariance(keys)
+    jacobian, _ = graph.linearize(backend.values_of(keys)).jacobian(gtsam.Ordering(keys))
+    told, covariance = jacobian[np.abs(jacobian).max(axis=1) > 0.0], joint.of(keys)
+    own = np.flatnonzero(np.isin(joint.columns(keys), joint.columns([pose_key])))
     given_rest = np.asarray(np.linalg.inv(np.linalg.inv(covariance)[np.ix_(own, own)]), dtype=np.float64)
-    return (_log_det(stacked, covariance) - _log_det(stacked[:, own], given_rest)) / (2.0 * len(stacked))
+    return (_log_det(told, covariance) - _log_det(told[:, own], given_rest)) / (2.0 * len(told))
 
 
 def _log_det(jacobian: FloatArray, covariance: FloatArray) -> float:
