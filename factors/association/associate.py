@@ -128,8 +128,8 @@ def _rank(observation: Observation) -> tuple[float, ...]:
 
 def _identity(index: int, decision: Decision, posterior: Posterior, least: float) -> Identity:
     """The verdict on an observation, unsure where it is less probable than it has to be."""
-    match = None if decision.match is None else decision.match.landmark
-    if decision.verdict != "unsure" and posterior.get(match, 0.0) >= least:
-        return Identity(index, decision.verdict, match, posterior.get(match, 0.0), posterior, decision.candidates)
+    probability = posterior.get(decision.landmark, 0.0)
+    if decision.verdict != "unsure" and probability >= least:
+        return Identity(index, decision.verdict, decision.landmark, probability, posterior, decision.candidates)
     likeliest = max(posterior.values())
     return Identity(index, "unsure", None, likeliest, posterior, decision.candidates)

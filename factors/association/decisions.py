@@ -83,6 +83,11 @@ class Decision:
     candidates: tuple[Candidate, ...]
     """All landmarks it was compared with, most likely first; a confirmed one that passes goes before the others."""
 
+    @property
+    def landmark(self) -> int | None:
+        """That of a match."""
+        return None if self.match is None else self.match.landmark
+
 
 def decide(
     index: int,

@@ -68,8 +68,7 @@ def _rivals(
     """
     rivals = []
     for index, hypotheses in enumerate(problem.hypotheses):
-        match, chance = best.decisions[index].match, problem.chances[index]
-        taken = None if match is None else match.landmark
+        taken, chance = best.decisions[index].landmark, problem.chances[index]
         candidates = (innovation.candidate for innovation in innovations_of(hypotheses, problem.state))
         passing = [
             (one.log_likelihood - gaps[index][one.landmark], one.landmark)
@@ -85,8 +84,7 @@ def _distinct(joint: Sequence[JointHypothesis]) -> list[JointHypothesis]:
     """Joint hypotheses without those that say what one before them says."""
     known: dict[tuple[int | None, ...], JointHypothesis] = {}
     for one in joint:
-        matches = (decision.match for decision in one.decisions)
-        known.setdefault(tuple(None if match is None else match.landmark for match in matches), one)
+        known.setdefault(tuple(decision.landmark for decision in one.decisions), one)
     return list(known.values())
 
 
@@ -97,9 +95,7 @@ def _weigh(
     matched: dict[int, Hypothesis] = {}
     state, total = problem.state.copy(), 0.0
     for index, hypotheses in enumerate(problem.hypotheses):
-        match = joint.decisions[index].match
-        taken = None if match is None else match.landmark
-        for hypothesis in (one for one in hypotheses if one.candidate.landmark == taken):
+        for hypothesis in (one for one in hypotheses if one.candidate.landmark == joint.decisions[index].landmark):
             innovation = state.innovation(hypothesis)
             total += innovation.candidate.log_likelihood - gaps[index][hypothesis.candidate.landmark]
             state.condition(innovation)

@@ -26,7 +26,7 @@ class Bounds:
     margin: float
     """How far a landmark may lie from where the observation puts it, m."""
     angle: float
-    """How much turned it may be, rad."""
+    """How much turned it may be, rad: to the other side never."""
 
 
 def bounds_of(observations: Sequence[Observation], covariance: FloatArray, gates: AssociationGates) -> list[Bounds]:
@@ -34,12 +34,12 @@ def bounds_of(observations: Sequence[Observation], covariance: FloatArray, gates
     angle_rad, position_m = (
         float(np.sqrt(max(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1], 0.0))) for k in (0, 3)
     )
-    bounds = []
+    bounds, angle = [], min(gates.max_angle_rad + gates.bound_sigmas * angle_rad, 0.5 * np.pi)
     for observation in observations:
         vertices = observation.vertices
         reach = float(np.linalg.norm(vertices, axis=1).max())
         margin = gates.gap_m + gates.bound_sigmas * (position_m + reach * angle_rad)
-        bounds.append(Bounds(observation, vertices, margin, gates.max_angle_rad + gates.bound_sigmas * angle_rad))
+        bounds.append(Bounds(observation, vertices, margin, angle))
     return bounds
 
 
@@ -49,7 +49,7 @@ def log_density(bounds: Bounds, n_near: int, gates: AssociationGates) -> float:
     As many, and one, lie within the bounds as landmarks do: a place with many walls has more that are not known yet.
     """
     turns = 1 if bounds.observation.kind == "line" else 2
-    volume = 2.0 * bounds.margin * (2.0 * min(bounds.angle, 0.5 * np.pi)) ** turns
+    volume = 2.0 * bounds.margin * (2.0 * bounds.angle) ** turns
     return float(np.log(gates.chance_factor * (n_near + 1) / volume))
 
 
@@ -72,10 +72,8 @@ def shortlist(bounds: Bounds, landmarks: PlacedLandmarks[AnyLandmark], world_T_b
 
 
 def _is_plausible(bounds: Bounds, landmark: Landmark, placed: PlacedPlane, world_T_body: FloatArray) -> bool:
-    """Same side, similar direction, and near enough: bounds so wide that the chi2 test decides, not they."""
+    """Near enough by what was seen of it: bounds so wide that the chi2 test decides, not they."""
     plane_T_body = inverse_transform(placed.world_T_plane) @ world_T_body
-    if float(plane_T_body[2, :3] @ bounds.observation.normal) < np.cos(min(bounds.angle, 0.5 * np.pi)):
-        return False
     heights = bounds.vertices @ plane_T_body[2, :3] + plane_T_body[2, 3]
     if np.abs(heights).min() > bounds.margin:
         return False

@@ -122,9 +122,8 @@ def _as_json(decision: Decision, seen: Observation) -> dict[str, Any]:
         {"landmark": one.landmark, "chi2": one.chi2, "dof": one.dof, "p": one.p_value, "confirmed": one.confirmed}
         for one in decision.candidates
     ]
-    landmark = None if decision.match is None else decision.match.landmark
     told = {"observation": decision.observation, "kind": seen.kind, "points": int(seen.n_points)}
-    return {**told, "verdict": decision.verdict, "landmark": landmark, "candidates": candidates}
+    return {**told, "verdict": decision.verdict, "landmark": decision.landmark, "candidates": candidates}
 
 
 def levelled(run: StoredRun) -> StoredRun:

@@ -147,7 +147,7 @@ def _check_same(where: str, recorded: Sequence[Decision], decisions: Sequence[De
 
 def _choice(decision: Decision) -> tuple[Any, ...]:
     found = tuple((candidate.landmark, candidate.dof, candidate.confirmed) for candidate in decision.candidates)
-    return decision.observation, decision.verdict, decision.match and decision.match.landmark, found
+    return decision.observation, decision.verdict, decision.landmark, found
 
 
 def _numbers(decision: Decision) -> list[float]:
