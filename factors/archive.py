@@ -186,30 +186,15 @@ def _from_alone(text: str) -> Any:
 
 
 def _values(values: gtsam.Values) -> dict[str, Any]:
-    rest, planes = gtsam.Values(values), {}
-    for key in values.keys():  # noqa: SIM118 - not a mapping
-        plane = held(values.atOrientedPlane3, key)
-        if plane is not None:
-            planes[key] = plane.planeCoefficients().tolist()
-            rest.erase(key)
+    found = {key: held(values.atOrientedPlane3, key) for key in list(values.keys())}
+    planes = {key: plane.planeCoefficients().tolist() for key, plane in found.items() if plane is not None}
+    others = [key for key in found if key not in planes]
     try:
-        return {"planes": planes, "others": rest.serialize()}
+        return {"planes": planes, "others": values.extract(others).serialize()}
     except RuntimeError as error:
-        told = ", ".join(told_key(key) for key in rest.keys() if not _is_archived(rest, key))  # noqa: SIM118
+        foreign = [key for key in others if held(lambda one: values.extract([one]).serialize(), key) is None]
+        told = ", ".join(map(told_key, foreign))
         raise ArchiveError(f"values: GTSAM cannot archive {told} ({str(error).splitlines()[0]})") from error
-
-
-def _is_archived(values: gtsam.Values, key: int) -> bool:
-    """Whether GTSAM can archive a value by itself."""
-    alone = gtsam.Values(values)
-    for other in values.keys():  # noqa: SIM118 - not a mapping
-        if other != key:
-            alone.erase(other)
-    try:
-        alone.serialize()
-    except RuntimeError:
-        return False
-    return True
 
 
 def _read_values(written: dict[str, Any] | None) -> gtsam.Values:

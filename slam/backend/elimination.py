@@ -22,8 +22,6 @@ _ALL_EVERY = 21
 
 #: What GTSAM says, in Python by a RuntimeError as any other, when elimination fails.
 INDETERMINATE = "Indeterminate linear system"
-#: Arguments of an update that adds and removes nothing.
-_NOTHING = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
 
 
 class BackendError(RuntimeError):
@@ -73,7 +71,8 @@ class Elimination(ABC):
         given = list(factors)
         used = {key for factor in given for key in list(factor.keys())}
         held = None if relinearize else self._out_of_use(used)
-        indices, _ = self._step(graph_of(given), initial, list(remove), self._eliminated_last(used), held)
+        last = self._eliminated_last(used)
+        indices, _ = self._step(graph_of(given), initial, list(remove), constrainedKeys=last, noRelinKeys=held)
         if relinearize:
             self._step()
         return indices
@@ -96,7 +95,7 @@ class Elimination(ABC):
         below = set(keys).difference(*self._recent)
         if below:
             last, others = self._eliminated_last(keys), self._all_but(set())
-            self._step(*_NOTHING, last, others, _key_list(below))
+            self._step(constrainedKeys=last, noRelinKeys=others, extraReelimKeys=_key_list(below))
 
     def _out_of_use(self, used: set[int]) -> gtsam.KeyList | None:
         """Keys of the variables that need not be relinearised when factors of some are added; None: all may be."""
@@ -117,7 +116,7 @@ class Elimination(ABC):
     @timed("optimise")
     def relinearize_in_use(self) -> None:
         """Once more at the estimate what the last factors are of, and nothing else."""
-        self._step(*_NOTHING, None, self._all_but(self._used))
+        self._step(noRelinKeys=self._all_but(self._used))
 
     @timed("optimise")
     def exchange(self, factors: Iterable[Any], remove: Sequence[int], leaving: Iterable[int]) -> list[int]:
@@ -128,7 +127,7 @@ class Elimination(ABC):
         BackendError: the system became indeterminate.
         """
         staying = _key_list(set(self._isam.getLinearizationPoint().keys()).difference(leaving))
-        return self._step(graph_of(factors), gtsam.Values(), list(remove), None, None, staying)[0]
+        return self._step(graph_of(factors), gtsam.Values(), list(remove), extraReelimKeys=staying)[0]
 
     @timed("optimise")
     def settle(self, rounds: int) -> None:
@@ -137,11 +136,11 @@ class Elimination(ABC):
             if not self._step()[1]:
                 break
 
-    def _step(self, *arguments: Any) -> tuple[list[int], int]:
+    def _step(self, *change: Any, **keys: gtsam.KeyGroupMap | gtsam.KeyList | None) -> tuple[list[int], int]:
         """One update: the indices of the factors that are new, and how many variables were relinearised."""
         n_before = self._isam.getFactorsUnsafe().size()
         try:
-            result = self._isam.update(*arguments)
+            result = self._isam.update(*change, **keys)
             return list(result.getNewFactorsIndices()), result.getVariablesRelinearized()
         except RuntimeError as error:
             self._isam = self._by_qr(error)
@@ -158,9 +157,7 @@ class Elimination(ABC):
         if INDETERMINATE not in str(failure):
             raise BackendError(first_line(failure)) from failure
         factors, twin = self._isam.getFactorsUnsafe(), self._empty("QR")
-        values, used = gtsam.Values(self._isam.getLinearizationPoint()), set(factors.keyVector())
-        for key in set(values.keys()) - used:  # of what leaves with its last factor
-            values.erase(key)
+        values = self._isam.getLinearizationPoint().extract(factors.keyVector())  # not of what leaves with its factors
         try:
             twin.update(factors, values)
         except RuntimeError as error:

@@ -74,10 +74,11 @@ class Backend(Elimination):
     def pose(self, key: int) -> FloatArray:
         """world_T_body of a pose variable, shape (4, 4)."""
         if key not in self._poses:
-            held = self.holds(key)
-            self._poses[key] = (
-                self._isam.calculateEstimatePose3(key).matrix() if held else self._past.pose(key, self.pose)
-            )
+            if self.holds(key):
+                self._poses[key] = self._isam.calculateEstimatePose3(key).matrix()
+            else:
+                past = self._past.at(key)
+                self._poses[key] = self.pose(past.base_key) @ past.base_T_pose
         return self._poses[key]
 
     def poses(self, keys: Sequence[int] | np.ndarray) -> FloatArray:
@@ -201,7 +202,8 @@ class Backend(Elimination):
     def covariance(self, key: int) -> FloatArray:
         """Marginal covariance of one variable in its GTSAM tangent order, in the tangent of its current estimate."""
         if key in self._past:
-            return self._past.covariance(key, self.covariance)
+            past = self._past.at(key)
+            return past.covariance(self.covariance(past.base_key))
         if self._joint is not None and self._joint.has([key]):
             return self._joint.of([key])
         return self._joint_of([key]).of([key])
@@ -209,7 +211,8 @@ class Backend(Elimination):
     def read_covariance(self, key: int) -> FloatArray:
         """The same for who looks at the map, with the uncertainty of what factors share."""
         if key in self._past:
-            return self._past.covariance(key, self.read_covariance)
+            past = self._past.at(key)
+            return past.covariance(self.read_covariance(past.base_key))
         return self.read_joint_covariance([key]).full
 
     def _to_estimate(self, key: int) -> FloatArray:

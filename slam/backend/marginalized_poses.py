@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,16 +57,6 @@ class PastPoses:
         """Remember one."""
         self._places[key] = len(self._rows)
         self._rows.append((past.base_key, *past.base_T_pose[:3].flat, *past.carry.flat, *past.spread[_UPPER]))
-
-    def pose(self, key: int, pose_of: Callable[[int], FloatArray]) -> FloatArray:
-        """world_T_body (4, 4) by the pose of its base now."""
-        past = self.at(key)
-        return pose_of(past.base_key) @ past.base_T_pose
-
-    def covariance(self, key: int, covariance_of: Callable[[int], FloatArray]) -> FloatArray:
-        """Marginal covariance (6, 6) by that of its base now."""
-        past = self.at(key)
-        return past.covariance(covariance_of(past.base_key))
 
     def at(self, key: int) -> PastPose:
         """One of them."""
