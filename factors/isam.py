@@ -68,7 +68,7 @@ def isam_covariance(isam: gtsam.ISAM2, values: gtsam.Values, keys: Sequence[int]
 
 
 def tangent_turn(there: gtsam.OrientedPlane3, here: gtsam.OrientedPlane3) -> FloatArray:
-    """Matrix (3, 3) that takes a tangent of a plane at one estimate of it to that at another."""
+    """Matrix (3, 3) that takes a tangent of a plane at one estimate to that at another: its basis jumps at ties."""
     turn = np.eye(3)
     turn[:2, :2] = here.normal().basis().T @ there.normal().basis()
     return turn

@@ -177,7 +177,10 @@ class Backend(Elimination):
             raise BackendError(first_line(error)) from error
 
     def _joint_of(self, keys: Sequence[int]) -> JointCovariance:
-        return JointCovariance(keys, self._marginal(keys), [self._to_estimate(key) for key in keys])
+        """In the tangents of the estimate: those of planes may be turned against iSAM2's, as `tangent_turn` tells."""
+        there = self._isam.getLinearizationPoint()
+        turns = [STAYS if is_pose(key) else tangent_turn(there.atOrientedPlane3(key), self.plane(key)) for key in keys]
+        return JointCovariance(keys, self._marginal(keys), turns)
 
     def _marginal(self, keys: Sequence[int]) -> FloatArray:
         """Joint marginal covariance of some variables at the linearisation point of the tree.
@@ -214,16 +217,6 @@ class Backend(Elimination):
             past = self._past.at(key)
             return past.covariance(self.read_covariance(past.base_key))
         return self.read_joint_covariance([key]).full
-
-    def _to_estimate(self, key: int) -> FloatArray:
-        """Matrix that takes a tangent at iSAM2's linearisation point to one at the estimate.
-
-        iSAM2's marginals are those of the first; for planes the two differ by more than second order, as
-        `factors.isam_covariance` tells.
-        """
-        if is_pose(key):
-            return STAYS
-        return tangent_turn(self._isam.getLinearizationPoint().atOrientedPlane3(key), self.plane(key))
 
     def optimize_batch(self) -> gtsam.Values:
         """Levenberg-Marquardt on the same factors, started from the current estimate."""

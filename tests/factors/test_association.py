@@ -64,19 +64,6 @@ def test_true_matches_are_refused_as_often_as_the_gate_says(significance: float)
     assert not any(one.verdict == "match" and one.plane_key != truth for truth, one in told)
 
 
-def test_without_the_covariance_of_the_pose_true_matches_are_refused():
-    rng = np.random.default_rng(3)
-    refused = 0
-    for _ in range(10):
-        place = scene(np.diag([1e-3, 1e-3, 9e-3, 0.05, 0.05, 1e-3]) ** 2, rng)
-        covariance = place.covariance.copy()
-        covariance[:6, :6] *= 1e-6
-        seen = [place.seen(number, rng) for number in range(5)]
-        refused += len(asked(replace(place, covariance=covariance), seen).matches) < 5
-        assert len(asked(place, seen).matches) == 5
-    assert refused == 10
-
-
 def test_the_order_of_observations_and_landmarks_changes_nothing():
     rng = np.random.default_rng(4)
     place = scene(LOOSE, rng, (0, 1, 2, 4, 6))
