@@ -70,16 +70,6 @@ def test_what_goes_on_is_the_motion_in_its_own_axes_and_in_time() -> None:
     assert half_yaw.error(along(start, start * turn, start * turn * aside)) == pytest.approx(0.5 * 2.0**2 / 4)
 
 
-def test_unseen_a_body_drifts_by_all_changes_of_its_motion() -> None:
-    """Along its way by sigma sqrt(1 + 4 + ... + n^2), where its motion was known."""
-    n, keys = 12, [gtsam.symbol("x", k) for k in range(14)]
-    known = [pose_prior(key, gtsam.Pose3(), 1e-12 * np.eye(6)) for key in (A, B)]
-    graph = graph_of(*known, *(constant_velocity_factor(keys[k : k + 3], np.diag(CHANGE)) for k in range(n)))
-    covariance = gtsam.Marginals(graph, along(*[gtsam.Pose3()] * len(keys))).marginalCovariance(keys[-1])
-    expected = np.sqrt(CHANGE[0] * np.sum(np.arange(1, n + 1) ** 2))
-    assert np.sqrt(np.diag(covariance)[3:]) == pytest.approx(np.full(3, expected), rel=1e-4)
-
-
 @pytest.mark.parametrize("kept", [1.0, 0.9])
 def test_past_a_stretch_that_nobody_saw_it_claims_what_it_errs_by(kept: float) -> None:
     """150 drives whose motion is seen again at their end: NEES of the last pose in its band.
