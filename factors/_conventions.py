@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 
 from factors._custom import OF_POSE2
-from factors._kernels import unit_bases
+from factors._kernels import unit_basis
 from spplanes._check import FloatArray, check_instance
 
 #: ``tangent_pose3 = differential_sp[SP_TO_POSE3]``.
@@ -69,7 +69,8 @@ def error_to_sp(frames: FloatArray) -> FloatArray:
     that takes the measured plane to the true one. From dn = theta x - psi y and d = n.o + z:
     theta = x.B e_12, psi = -y.B e_12, z = e_3 - o.B e_12.
     """
-    basis = unit_bases(np.ascontiguousarray(frames[:, :3, 2]))
+    normals = np.ascontiguousarray(frames[:, :3, 2])
+    basis = np.reshape([unit_basis(normal) for normal in normals], (-1, 3, 2))
     matrices = np.zeros((len(frames), 3, 3))
     matrices[:, 0, :2] = -np.einsum("ni,nij->nj", frames[:, :3, 3], basis)
     matrices[:, 0, 2] = 1.0

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inner, njit
 from spplanes.spmodel import skew
 
 _Error = tuple[np.ndarray, np.ndarray]
@@ -41,11 +41,6 @@ def scaled_to_one(a):
     for k in range(3):
         a[k] /= length
     return a
-
-
-def unit_bases(normals: np.ndarray) -> np.ndarray:
-    """`unit_basis` of many normals (N, 3), shape (N, 3, 2)."""
-    return np.array([unit_basis(normal) for normal in normals]).reshape(-1, 3, 2)
 
 
 @inner(cache=True)
@@ -134,7 +129,7 @@ def two_point_information(points, sigma):
     whatever the landmark; its own normal plays no part. R is upper triangular with an empty last row.
     """
     normal = cross(points[0], points[1])
-    first, second = largest(points[0]), largest(points[1])
+    first, second = np.abs(points[0]).max(), np.abs(points[1]).max()
     if np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2) < 1e-9 * max(first, second) ** 2:
         along = points[0] if first >= second else points[1]  # in line with the origin: any plane through that line
         axis = np.zeros(3)
@@ -159,12 +154,6 @@ def two_point_information(points, sigma):
             root[1, j] -= v * share
         root[0, 0], root[1, 0] = beta, 0.0
     return normal, root
-
-
-@inlined
-def largest(a):
-    """Largest of the coordinates of a (3,) vector, regardless of their signs."""
-    return max(abs(a[0]), abs(a[1]), abs(a[2]))
 
 
 #: Sine of the angle between a plane and the scan plane below which `line_error` stops dividing by it.
