@@ -67,20 +67,18 @@ class Landmark:
         """Forget what a keyframe saw of it, except that it did; indices of the factors of that."""
         gone = [sighting.factor_index for sighting in self.sightings if sighting.keyframe == keyframe]
         if gone:
-            frames = self._frames()
-            frames.remove(keyframe)
             self.sightings = [sighting for sighting in self.sightings if sighting.keyframe != keyframe]
-            self._counted = (self.sightings, len(self.sightings))
             insort(self.seen_by_past, keyframe)
         return gone
 
     def _frames(self) -> list[int]:
         """The keyframes that saw it, ascending; what sightings have been added since is counted in."""
-        if self._counted[0] is not self.sightings or self._counted[1] > len(self.sightings):
-            self._counted, self._seen_from = (self.sightings, 0), []
-        for sighting in self.sightings[self._counted[1] :]:
-            if not _is_any_between(self._seen_from, sighting.keyframe, sighting.keyframe):
-                insort(self._seen_from, sighting.keyframe)
+        counted, number = self._counted
+        if counted is not self.sightings or number > len(self.sightings):
+            self._seen_from, number = sorted({one.keyframe for one in self.sightings}), len(self.sightings)
+        for keyframe in (one.keyframe for one in self.sightings[number:]):
+            if not _is_any_between(self._seen_from, keyframe, keyframe):
+                insort(self._seen_from, keyframe)
         self._counted = (self.sightings, len(self.sightings))
         return self._seen_from
 

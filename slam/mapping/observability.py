@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from slam.config import ObservabilityConfig
 from slam.frontend.information import floor_information, plane_information
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
-from slam.lazy import Growing, Rows
+from slam.lazy import Rows
 from slam.map.data_association import Decision
 from slam.map.landmarks import LandmarkMap
 from slam.tracking.prediction import Prediction
@@ -149,33 +150,21 @@ def _along_axes(span: FloatArray) -> list[FloatArray]:
     return found
 
 
-class Directions(Growing[OpenDirection]):
-    """Open directions as the numbers they are made of."""
-
-    def __init__(self) -> None:
-        self._rows = Rows("ibdddd")
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def append(self, value: OpenDirection) -> None:
-        """Add one."""
-        self._rows.append((value.keyframe, value.part == "position", value.sigma_seen, *value.direction.tolist()))
-
-    def at(self, index: int) -> OpenDirection:
-        """One of them, made anew."""
-        keyframe, is_position, sigma, *direction = self._rows.at(index)
-        return OpenDirection(keyframe, "position" if is_position else "orientation", np.array(direction), sigma)
-
-
 @dataclass
 class Observability:
     """What the keyframes of a run left open."""
 
     rules: ObservabilityConfig
     """From which standard deviation on a direction is open."""
-    history: Directions = field(default_factory=Directions)
-    """Open directions of all keyframes, one after another."""
+    _rows: Rows = field(default_factory=partial(Rows, "ibdddd"), repr=False)
+
+    @property
+    def history(self) -> list[OpenDirection]:
+        """Open directions of all keyframes, one after another, made anew of the numbers that they are kept as."""
+        return [
+            OpenDirection(keyframe, "position" if is_position else "orientation", np.array(direction), sigma)
+            for keyframe, is_position, sigma, *direction in self._rows
+        ]
 
     def add(
         self,
@@ -191,7 +180,7 @@ class Observability:
             normals = [landmarks.placed(landmark).normal for _, landmark in pairs]
             matched, pose = [one for one, _ in pairs], backend.pose(prediction.pose_key)
             for one in open_directions(prediction.index, matched, pose, self.rules, prediction.motion, normals):
-                self.history.append(one)
+                self._rows.append((one.keyframe, one.part == "position", one.sigma_seen, *one.direction.tolist()))
 
     def stretches(self, keyframes: Sequence[Keyframe], backend: Backend) -> list[OpenStretch]:
         """Directions that what was seen left open, most frequent first, with what is known of them by all means."""
