@@ -38,25 +38,23 @@ def open_in_map(
     """
     if len(held) < 2:
         return []
-    rows = {keyframe: 6 * row for row, keyframe in enumerate(held)}
-    of_poses = 6 * len(held)
-    information = _Information(of_poses + 3 * len(landmarks))
-    information.add(0, np.eye(6) / _FIXED**2)
-    for row in rows.values():
-        information.add(row, NOTHING)
+    rows = {keyframe: row for row, keyframe in enumerate(held)}
+    of_poses = np.arange(6 * len(held)).reshape(-1, 6)
+    told = [(of_poses[:1], np.eye(6)[None] / _FIXED**2), (of_poses, np.tile(NOTHING, (len(held), 1, 1)))]
     seen = [_Sightings.of(landmark, keyframes) for landmark in landmarks]
     normals = _settled_normals(landmarks, seen)
     for number, (landmark, sightings, normal) in enumerate(zip(landmarks, seen, normals, strict=True)):
-        plane = of_poses + 3 * number
+        of_plane = of_poses.size + 3 * number + np.arange(3)
         known = np.eye(3) / _FIXED**2 if landmark.known else np.diag([1e-6, 1e-3, 1e-3])
-        information.add(plane, known)
+        told.append((of_plane[None], known[None]))
         if sightings.keyframes:
             poses = backend.poses(pose_symbols(sightings.keyframes))
             jacobians = _derivatives(sightings, poses, normal, landmarks.placed(landmark.id).world_T_plane[:3, 3])
-            information.see([rows[one] for one in sightings.keyframes], plane, jacobians)
+            of_both = of_poses[[rows[one] for one in sightings.keyframes]], np.tile(of_plane, (len(poses), 1))
+            told.append((np.hstack(of_both), jacobians.transpose(0, 2, 1) @ jacobians))
     # two dozen, evenly over the run: to each belong six columns of the inverse
     looked_at = sorted({*np.linspace(1, len(held) - 1, min(24, len(held) - 1)).round().astype(int).tolist()})
-    found = information.covariances([6 * row for row in looked_at])
+    found = _covariances(told, of_poses.size + 3 * len(landmarks), of_poses[looked_at])
     open_ones = [
         direction
         for row, covariance in zip(looked_at, found, strict=True)
@@ -69,38 +67,25 @@ def open_in_map(
     return stretches
 
 
-class _Information:
-    """Normal equations over poses, six rows each, and landmarks, three rows each after them."""
+def _covariances(told: Sequence[tuple[np.ndarray, FloatArray]], size: int, wanted: np.ndarray) -> list[FloatArray]:
+    """Covariances (6, 6) of variables in some rows (N, 6) of normal equations.
 
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._blocks: list[tuple[np.ndarray, np.ndarray, FloatArray]] = []
-
-    def add(self, row: int, block: FloatArray) -> None:
-        """Information of one variable."""
-        places = row + np.arange(len(block))
-        self._blocks.append((np.repeat(places, len(block)), np.tile(places, len(block)), block.ravel()))
-
-    def see(self, poses: Sequence[int], plane: int, jacobians: FloatArray) -> None:
-        """Information of measurements of one plane from poses, whose whitened derivatives are (K, 3, 9)."""
-        places = np.hstack((np.add.outer(poses, np.arange(6)), np.tile(plane + np.arange(3), (len(poses), 1))))
-        blocks = jacobians.transpose(0, 2, 1) @ jacobians
-        self._blocks.append((np.repeat(places, 9, axis=1).ravel(), np.tile(places, 9).ravel(), blocks.ravel()))
-
-    def covariances(self, rows: Sequence[int]) -> list[FloatArray]:
-        """Covariances (6, 6) of the variables that begin at these rows."""
-        i, j, values = (np.concatenate(part) for part in zip(*self._blocks, strict=True))
-        matrix = coo_matrix((values, (i, j)), shape=(self._size, self._size)).tocsc()
-        # symmetric and positive: ordered by itself and not by its square, the factors of 1495 poses and 209 planes have
-        # 0.1 million entries instead of 3.7
-        solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        found = []
-        for row in rows:
-            columns = np.zeros((self._size, 6))
-            columns[row + np.arange(6), np.arange(6)] = 1.0
-            block = solver.solve(columns)[row : row + 6]
-            found.append(0.5 * (block + block.T))
-        return found
+    They are the sum of blocks (K, m, m), those of one kind together, each in its rows (K, m).
+    """
+    i = np.concatenate([np.repeat(rows, rows.shape[1], axis=1).ravel() for rows, _ in told])
+    j = np.concatenate([np.tile(rows, rows.shape[1]).ravel() for rows, _ in told])
+    values = np.concatenate([blocks.ravel() for _, blocks in told])
+    matrix = coo_matrix((values, (i, j)), shape=(size, size)).tocsc()
+    # symmetric and positive: ordered by itself and not by its square, the factors of 1495 poses and 209 planes have
+    # 0.1 million entries instead of 3.7
+    solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    found = []
+    for rows in wanted:
+        columns = np.zeros((size, 6))
+        columns[rows, np.arange(6)] = 1.0
+        block = solver.solve(columns)[rows]
+        found.append(0.5 * (block + block.T))
+    return found
 
 
 class _Sightings(NamedTuple):
