@@ -67,9 +67,7 @@ class Recipe:
         return gtsam.CustomFactor(noise, [*keys, *self.landmark_keys], _callback(self))
 
     def rekeyed(self, names: Mapping[int, int], homes: Mapping[int, tuple[int, int]]) -> Recipe:
-        """The same over other variables; see `factors.archive.rekeyed`. ValueError: it relates one with a new home."""
-        if len(self.landmark_keys) > 1 and homes.keys() & set(self.landmark_keys):
-            raise ValueError("factor: expected one of a single plane, got one that relates a plane with a new home")
+        """The same over other variables; see `factors.archive.rekeyed`, which refuses new homes of several planes."""
         keys = {role: getattr(self, role) for role in ("plane_key", "pose_key", "anchor_key", "reference_key")}
         roles: dict[str, Any] = {role: names.get(key, key) for role, key in keys.items()}
         roles["more_keys"] = tuple(names.get(key, key) for key in self.more_keys)
@@ -100,6 +98,7 @@ class VelocityRecipe:
     robust: Robust = None
     """Kernel of the noise model."""
     dof: ClassVar[int] = 6
+    landmark_keys: ClassVar[tuple[int, ...]] = ()
 
     def factor(self) -> gtsam.CustomFactor:
         """Make the factor, over its keys in their order."""
@@ -190,7 +189,11 @@ def _read(values: gtsam.Values, key: int | None, column: int, planar: bool) -> t
     pose = None if planar else held(values.atPose3, key)
     if pose is not None:
         return pose.matrix(), [slice(column, column + 6)]
-    return _planar_matrix(values.atPose2(key)), [column + OF_POSE2]
+    flat, matrix = values.atPose2(key), np.eye(4).T
+    c, s = np.cos(flat.theta()), np.sin(flat.theta())
+    matrix[0, 0], matrix[0, 1], matrix[0, 3] = c, -s, flat.x()
+    matrix[1, 0], matrix[1, 1], matrix[1, 3] = s, c, flat.y()
+    return matrix, [column + OF_POSE2]
 
 
 @cache
@@ -199,11 +202,3 @@ def _kernel(name: str) -> _Kernel:
     from factors import _kernels
 
     return getattr(_kernels, f"{name}_error")
-
-
-def _planar_matrix(pose: gtsam.Pose2) -> FloatArray:
-    matrix = np.eye(4).T
-    c, s = np.cos(pose.theta()), np.sin(pose.theta())
-    matrix[0, 0], matrix[0, 1], matrix[0, 3] = c, -s, pose.x()
-    matrix[1, 0], matrix[1, 1], matrix[1, 3] = s, c, pose.y()
-    return matrix

@@ -94,10 +94,9 @@ def rekeyed(factor: Any, names: Mapping[int, int], homes: Mapping[int, tuple[int
         recipe = describe(factor)
         if recipe is None:
             raise ArchiveError("factor: expected one made here, got another CustomFactor")
-        try:
-            return recipe.rekeyed(names, homes).factor()
-        except ValueError as error:
-            raise ArchiveError(str(error)) from error
+        if len(recipe.landmark_keys) > 1 and homes.keys() & set(recipe.landmark_keys):
+            raise ArchiveError("factor: expected one of a single plane, got one that relates a plane with a new home")
+        return recipe.rekeyed(names, homes).factor()
     keys = list(factor.keys())
     named = [names.get(key, key) for key in keys]
     if isinstance(factor, gtsam_unstable.LocalOrientedPlane3Factor):

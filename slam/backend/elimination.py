@@ -68,11 +68,11 @@ class Elimination(ABC):
         gates are drawn and estimates made by them. The others, which a correction moves a little all along the way, are
         every so often, and where `relinearize` asks for it, once more after. BackendError: it became indeterminate.
         """
-        given = list(factors)
-        used = {key for factor in given for key in list(factor.keys())}
+        graph = graph_of(factors)
+        used = set(graph.keyVector())
         held = None if relinearize else self._out_of_use(used)
         last = self._eliminated_last(used)
-        indices, _ = self._step(graph_of(given), initial, list(remove), constrainedKeys=last, noRelinKeys=held)
+        indices, _ = self._step(graph, initial, list(remove), constrainedKeys=last, noRelinKeys=held)
         if relinearize:
             self._step()
         return indices
