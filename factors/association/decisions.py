@@ -127,12 +127,9 @@ def is_open(decision: Decision, away: Callable[[int], float], gates: Association
     match = decision.match
     if match is None:
         return decision.verdict == "unsure"
-    rivals = [
-        candidate
-        for candidate in decision.candidates
-        if candidate is not match and candidate.p_value >= gates.significance
-    ]
-    if not rivals:
-        return False
     least = match.log_likelihood - away(match.landmark) - gates.rival_log_ratio
-    return any(rival.log_likelihood - away(rival.landmark) >= least for rival in rivals)
+    return any(
+        rival.log_likelihood - away(rival.landmark) >= least
+        for rival in decision.candidates
+        if rival is not match and rival.p_value >= gates.significance
+    )
