@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from factors import landmark_hesse
-from slam.backend.estimator import Backend, JointCovariance
+from slam.backend.estimator import Backend
 from slam.geometry.frames import inverse
 from slam.geometry.polygons import flatten
 from slam.map.landmarks import Landmark
@@ -43,8 +43,9 @@ class SamePlaneFinder:
         if not pairs:
             return []
         keys = {key for pair in pairs.values() for one in pair for key in landmark_keys(one)}
-        joint, limit = self._backend.joint_covariance(sorted(keys)), float(chdtri(3, self._rules.significance))
-        found = [(same_plane_chi2(*pair, self._backend, joint), *ids) for ids, pair in pairs.items()]
+        self._backend.joint_covariance(sorted(keys))  # of all at once: it is kept for the questions that follow
+        limit = float(chdtri(3, self._rules.significance))
+        found = [(same_plane_chi2(*pair, self._backend), *ids) for ids, pair in pairs.items()]
         self._told_apart.update({(a, b): _sightings(pairs[a, b]) for chi2, a, b in found if chi2 > limit})
         return disjoint([(a, b) for chi2, a, b in sorted(found) if chi2 <= limit])
 
@@ -80,15 +81,12 @@ def _sightings(pair: tuple[Landmark, Landmark]) -> int:
     return sum(len(one.sightings) for one in pair)
 
 
-def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend, joint: JointCovariance | None = None) -> float:
+def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend) -> float:
     """Squared Mahalanobis distance of two landmarks of one state, chi2 with 3 degrees of freedom if they are one.
 
     Their difference is taken in the frame of the second's anchor, in a basis that stays fixed: that of
-    ``Unit3.basis()`` jumps where components of the normal tie. `joint` has the covariance of the keys of both; None: it
-    is asked for.
+    ``Unit3.basis()`` jumps where components of the normal tie.
     """
-    if joint is None:
-        joint = backend.joint_covariance(sorted({*landmark_keys(first), *landmark_keys(second)}))
     difference, (by_first, by_pose_a, by_second, by_pose_b) = anchored_difference(
         backend.plane(first.key),
         backend.pose(first.anchor_key),
@@ -99,7 +97,7 @@ def same_plane_chi2(first: Landmark, second: Landmark, backend: Backend, joint: 
     for key, block in ((first.anchor_key, by_pose_a), (second.anchor_key, by_pose_b)):
         blocks[key] = blocks.get(key, np.zeros((3, block.shape[1]))) + block
     jacobian = np.hstack(list(blocks.values()))
-    covariance = jacobian @ joint.of(list(blocks)) @ jacobian.T
+    covariance = jacobian @ backend.joint_covariance(sorted(blocks)).of(list(blocks)) @ jacobian.T
     return float(difference @ np.linalg.solve(covariance, difference))
 
 
