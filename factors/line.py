@@ -73,34 +73,23 @@ def line_factor_2d(
     return _recipe(line, body_T_sensor, pose_key, plane_key, anchor_key, robust, planar=True).factor()
 
 
-def decorrelated_points(line: ScanLine) -> tuple[FloatArray, float]:
+@lru_cache(maxsize=64)  # of the lines of a keyframe, each of which is compared with several landmarks
+def _decorrelated_points(line: ScanLine) -> tuple[FloatArray, float]:
     """Two points of the line, shape (2, 2), whose errors across it are independent, and their standard deviation.
 
     At position s along the line the error across it is drho - s dalpha. It is independent of dalpha at
     s0 = C_ar / C_aa, where its deviation is t; at s0 +- t / sigma_alpha the two errors are independent, each of
     deviation sqrt(2) t. Together they are the covariance of (alpha, rho) exactly.
     """
-    check_instance("line", line, ScanLine)
-    (a, b), (_, r) = _definite(line.covariance).tolist()
+    (a, b), (b2, r) = line.covariance.tolist()
+    if not (b == b2 and a > 0.0 and r > 0.0 and isfinite(a + r) and b * b < (1.0 - 1e-9) * (a * r)):  # most by a glance
+        (a, b), (_, r) = as_definite_covariance("line.covariance", line.covariance, 2).tolist()
     position = b / a
     spread = sqrt(r - b * position)
     c, s = cos(line.alpha), sin(line.alpha)
     reach = spread / sqrt(a)
     points = [(line.rho * c - along * s, line.rho * s + along * c) for along in (position - reach, position + reach)]
     return np.array(points), sqrt(2.0) * spread
-
-
-#: Of the lines of a keyframe, each of which is compared with several landmarks.
-_known_points = lru_cache(maxsize=64)(decorrelated_points)
-
-
-def _definite(value: FloatArray) -> FloatArray:
-    """The covariance of a line, refused when it is singular; a glance tells most of them."""
-    if isinstance(value, np.ndarray) and value.shape == (2, 2) and value.dtype == np.float64:
-        (a, b), (b2, c) = value.tolist()
-        if b == b2 and a > 0.0 and c > 0.0 and isfinite(a + c) and b * b < (1.0 - 1e-9) * (a * c):
-            return value
-    return as_definite_covariance("line.covariance", value, 2)
 
 
 def _native(recipe: Recipe, normal: FloatArray) -> gtsam.NonlinearFactor:
@@ -127,7 +116,7 @@ def _recipe(
     planar: bool,
 ) -> Recipe:
     check_instance("line", line, ScanLine)
-    points, sigma = _known_points(line)
+    points, sigma = _decorrelated_points(line)
     check_distinct(pose_key=pose_key, plane_key=plane_key)
     check_distinct(anchor_key=anchor_key, plane_key=plane_key)
     keys = as_key("plane_key", plane_key), as_key("pose_key", pose_key), as_anchor("anchor_key", anchor_key)
