@@ -59,6 +59,11 @@ class Face:
         """The point of its line at s, shape (3,), m."""
         return self.origin + s * self.along
 
+    @property
+    def ends(self) -> FloatArray:
+        """The first and the last point of its line that anything was seen above or below, shape (2, 3), m."""
+        return np.array([self.point(self.seen.bounds[0]), self.point(self.seen.bounds[2])])
+
     def s_of(self, points: FloatArray) -> FloatArray:
         """Where along its line points (..., 3) are, m."""
         return (points - self.origin) @ self.along

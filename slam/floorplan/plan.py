@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed
-from slam.floorplan.quantities import JointPlanes, Quantity, area, corner, distance, length
+from slam.floorplan.quantities import JointPlanes, Quantity, area, corner, length
 from slam.floorplan.rooms import room_rings
 from slam.floorplan.storeys import Storey, storeys
 from slam.floorplan.walls import Opening, Wall, find_openings, wall_solids, without
@@ -104,32 +104,30 @@ def floor_plan(joint: JointPlanes) -> FloorPlan:
     levels = [storey for storey in storeys(joint) if storey.faces]
     if not levels:
         raise ValueError("planes: expected at least one vertical plane for a floor plan, got none")
-    plans = tuple(_plan_of(joint, storey, levels[0].section.floor) for storey in levels)
+    plans = tuple(_plan_of(storey, levels[0].section.floor) for storey in levels)
     drawn = tuple(plan for plan in plans if plan.rooms or plan.walls or plan.single or plan.openings)
     if not drawn:
         raise ValueError("planes: expected a wall that reaches the ceiling for a floor plan, got none")
     return FloorPlan(joint, drawn)
 
 
-def _plan_of(joint: JointPlanes, storey: Storey, lowest: int | None) -> StoreyPlan:
+def _plan_of(storey: Storey, lowest: int | None) -> StoreyPlan:
     faces = storey.walls()
-    rooms = [_room(joint, storey, faces, rings) for rings in room_rings(storey, faces)]
+    rooms = [_room(storey, rings) for rings in room_rings(storey, faces)]
     rooms.sort(key=lambda one: -one.area.value)
     extents = [(face, _extent(face, rooms)) for face in faces]
-    walls = wall_solids(joint, storey.section, extents)
+    walls = wall_solids(storey, extents)
     single = [(face, span) for face, spans in extents for span in _unpaired(face, spans, walls)]
-    openings = find_openings(joint, storey, faces, walls)
+    openings = find_openings(storey, faces, walls)
     floor, elevation = storey.section.floor, None
-    if floor is not None and lowest is not None:
-        place = joint.planes[floor].plane.centre
-        rise = distance(joint.hesse, lowest, floor, place, storey.section.normal) if floor != lowest else (0.0, {})
-        elevation = joint.quantity(*rise)
+    if floor is not None:
+        elevation = storey.rise(lowest, floor, storey.joint.planes[floor].plane.centre)
     return StoreyPlan(storey, elevation, tuple(rooms), tuple(walls), tuple(single), tuple(openings))
 
 
-def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list[list[int]]) -> Room:
-    corners, sides = [], []
-    for ring in ([faces[k] for k in ring] for ring in rings):
+def _room(storey: Storey, rings: list[list[Face]]) -> Room:
+    joint, corners, sides = storey.joint, [], []
+    for ring in rings:
         ends = [corner(joint.hesse, ring[k - 1].plane, face.plane, storey.section) for k, face in enumerate(ring)]
         along = zip(ring, ends, [*ends[1:], ends[0]], strict=True)
         sides.append(tuple(Side(face, a.point, b.point, joint.quantity(*length(a, b))) for face, a, b in along))
@@ -139,15 +137,13 @@ def _room(joint: JointPlanes, storey: Storey, faces: Sequence[Face], rings: list
     place = shape.centroid if shape.contains(shape.centroid) else shape.representative_point()
     middle = storey.plan @ np.array(place.coords[0])
     middle += (storey.section.d - storey.section.normal @ middle) * storey.section.normal
-    widths = tuple(_widths(joint, storey, [side for ring in sides for side in ring], middle))
-    height = None
+    widths = tuple(_widths(joint, [side for ring in sides for side in ring], middle))
     below, above = (storey.over(shape.buffer(0.0), levels) for levels in (storey.floors, storey.ceilings))
-    if below is not None and above is not None:
-        height = joint.quantity(*distance(joint.hesse, below.plane, above.plane, middle, storey.section.normal))
+    height = None if below is None or above is None else storey.rise(below.plane, above.plane, middle)
     return Room(tuple(sides), middle, joint.quantity(*area(corners, storey.section)), widths, height)
 
 
-def _widths(joint: JointPlanes, storey: Storey, sides: Sequence[Side], middle: FloatArray) -> list[Width]:
+def _widths(joint: JointPlanes, sides: Sequence[Side], middle: FloatArray) -> list[Width]:
     found = []
     for one, other in combinations(sides, 2):
         if one.face.normal @ other.face.normal > -np.cos(ALIKE_RAD):
@@ -155,7 +151,7 @@ def _widths(joint: JointPlanes, storey: Storey, sides: Sequence[Side], middle: F
         direction = (one.face.normal - other.face.normal) / np.linalg.norm(one.face.normal - other.face.normal)
         ends = [middle - one.face.before(middle) * direction, middle + other.face.before(middle) * direction]
         if all(_is_on(side, end) for side, end in zip((one, other), ends, strict=True)):
-            value = joint.quantity(*distance(joint.hesse, one.face.plane, other.face.plane, middle, direction))
+            value = joint.between(one.face.plane, other.face.plane, middle, direction)
             found.append(Width(ends[0], ends[1], value))
     return found
 

@@ -7,7 +7,7 @@ standard deviations of the derivatives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +18,6 @@ from slam.map.map_planes import MapPlane
 from slam.mapping.same_plane import hesse_of
 from spplanes._check import FloatArray
 
-#: Derivative of a number by (normal, d) of each plane it depends on: index of the plane, shape (4,).
-Gradient = Mapping[int, FloatArray]
-
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
@@ -29,7 +26,8 @@ class Quantity:
     value: float
     sigma: float
     """Its standard deviation."""
-    gradient: Gradient
+    gradient: FloatArray
+    """Its derivative by (normal, d) of every plane, shape (P, 4)."""
 
     def __str__(self) -> str:
         """As 2.388 +- 0.004: the standard deviation with one digit, or two where the first is a 1, at most to 1 um."""
@@ -58,8 +56,8 @@ class Corner:
 
     point: FloatArray
     """Shape (3,), m."""
-    by: Mapping[int, FloatArray]
-    """Derivative (3, 4) by (normal, d) of each plane that it depends on."""
+    by: FloatArray
+    """Derivatives by (normal, d) of every plane, shape (P, 3, 4)."""
 
 
 def corner(hesse: FloatArray, first: int, second: int, section: Section) -> Corner:
@@ -71,22 +69,22 @@ def corner(hesse: FloatArray, first: int, second: int, section: Section) -> Corn
     matrix = np.vstack((hesse[[first, second], :3], section.normal))
     inverse = np.linalg.inv(matrix)
     point: FloatArray = np.asarray(inverse @ np.append(hesse[[first, second], 3], section.d), dtype=np.float64)
-    by = {}
+    by = np.zeros((len(hesse), 3, 4))
     for plane, column in zip((first, second, section.floor), inverse.T, strict=True):
         if plane is not None:
             by[plane] = np.outer(column, np.append(-point, 1.0))
     return Corner(point, by)
 
 
-def length(a: Corner, b: Corner) -> tuple[float, Gradient]:
+def length(a: Corner, b: Corner) -> tuple[float, FloatArray]:
     """Distance of two corners and its derivatives."""
     way = b.point - a.point
     distance = float(np.linalg.norm(way))
     unit = way / distance
-    return distance, _sum([(b.by, unit), (a.by, -unit)])
+    return distance, unit @ b.by - unit @ a.by
 
 
-def area(rings: Sequence[Sequence[Corner]], section: Section) -> tuple[float, Gradient]:
+def area(rings: Sequence[Sequence[Corner]], section: Section) -> tuple[float, FloatArray]:
     """Area of a polygon in the section, outer ring anticlockwise, holes clockwise, and its derivatives.
 
     The shoelace formula as vector area: A = 1/2 sum n.(x_k x x_k+1), d A / d x_k = 1/2 (x_k+1 - x_k-1) x n. A turn of n
@@ -97,33 +95,26 @@ def area(rings: Sequence[Sequence[Corner]], section: Section) -> tuple[float, Gr
         points = np.array([one.point for one in ring])
         following, before = np.roll(points, -1, axis=0), np.roll(points, 1, axis=0)
         total += 0.5 * float(np.cross(points - points[0], following - points[0]).sum(axis=0) @ section.normal)
-        parts += list(zip((one.by for one in ring), 0.5 * np.cross(following - before, section.normal), strict=True))
-    return total, _sum(parts)
+        by_corners = 0.5 * np.cross(following - before, section.normal)
+        parts += [by_corner @ one.by for one, by_corner in zip(ring, by_corners, strict=True)]
+    return total, np.sum(parts, axis=0)
 
 
 def distance(
     hesse: FloatArray, first: int, second: int, place: FloatArray, direction: FloatArray
-) -> tuple[float, Gradient]:
+) -> tuple[float, FloatArray]:
     """How far it is from one plane to another through a place, along a fixed direction, and its derivatives.
 
     Of two planes that are nearly parallel it depends on place (3,), m, and direction, a unit vector (3,) from the first
     to the second, in second order only. The planes are indices into the rows (normal, d) of all, shape (P, 4).
     """
-    ends, gradient = [], {}
+    ends, gradient = [], np.zeros_like(hesse)
     for plane, sign in ((first, -1.0), (second, 1.0)):
         normal, d = hesse[plane, :3], hesse[plane, 3]
         slope = float(normal @ direction)
         ends.append(float((d - normal @ place) / slope))
-        gradient[plane] = sign / slope * np.append(-(place + ends[-1] * direction), 1.0)
+        gradient[plane] += sign / slope * np.append(-(place + ends[-1] * direction), 1.0)
     return ends[1] - ends[0], gradient
-
-
-def _sum(parts: Sequence[tuple[Mapping[int, FloatArray], FloatArray]]) -> Gradient:
-    total: dict[int, FloatArray] = {}
-    for by, outer in parts:
-        for plane, derivative in by.items():
-            total[plane] = total.get(plane, np.zeros(4)) + outer @ derivative
-    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,21 +128,19 @@ class JointPlanes:
     covariance: FloatArray
     """Of all rows of `hesse` stacked, shape (4 P, 4 P); singular, for every normal keeps its length."""
 
-    def quantity(self, value: float, gradient: Gradient) -> Quantity:
+    def quantity(self, value: float, gradient: FloatArray) -> Quantity:
         """A number that depends on planes, with its standard deviation to first order."""
-        row = self._row(gradient)
+        row = gradient.ravel()
         return Quantity(value, float(np.sqrt(max(row @ self.covariance @ row, 0.0))), gradient)
+
+    def between(self, first: int, second: int, place: FloatArray, direction: FloatArray) -> Quantity:
+        """How far it is from one plane to another, as `distance` has it."""
+        return self.quantity(*distance(self.hesse, first, second, place, direction))
 
     def covariance_of(self, quantities: Sequence[Quantity]) -> FloatArray:
         """Joint covariance (Q, Q) of several quantities, to first order."""
-        jacobian = np.array([self._row(one.gradient) for one in quantities]).reshape(-1, self.hesse.size)
+        jacobian = np.array([one.gradient for one in quantities]).reshape(-1, self.hesse.size)
         return jacobian @ self.covariance @ jacobian.T
-
-    def _row(self, gradient: Gradient) -> FloatArray:
-        row = np.zeros(self.hesse.shape)
-        for plane, derivative in gradient.items():
-            row[plane] += derivative
-        return row.ravel()
 
 
 def joint_planes(planes: Sequence[MapPlane], landmarks: LandmarkMap, backend: Backend) -> JointPlanes:

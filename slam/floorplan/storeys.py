@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, face_of
-from slam.floorplan.quantities import JointPlanes, Section
+from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, face_of
+from slam.floorplan.quantities import JointPlanes, Quantity, Section
 from slam.geometry.frames import lift
 from slam.geometry.polygons import valid
 from slam.map.map_planes import MapPlane
@@ -38,6 +38,7 @@ class Level:
 class Storey:
     """What was seen between one floor and the next."""
 
+    joint: JointPlanes
     section: Section
     """The plane that its plan is cut by."""
     plan: FloatArray
@@ -61,13 +62,18 @@ class Storey:
         best = int(np.argmax(areas)) if areas else -1
         return levels[best] if areas and areas[best] > 0.0 else None
 
+    def rise(self, first: int | None, second: int | None, place: FloatArray) -> Quantity | None:
+        """How far a plane is above another one at a place (3,); None where one of them was not seen."""
+        if first is None or second is None:
+            return None
+        return self.joint.between(first, second, place, self.section.normal)
+
     def walls(self) -> list[Face]:
         """The faces that reach the ceiling before them; where no ceiling was seen, all."""
         return [face for face in self.faces if self._reaches_ceiling(face)]
 
     def _reaches_ceiling(self, face: Face) -> bool:
-        low, high = face.seen.bounds[0], face.seen.bounds[2]
-        ends = self.in_plan(np.array([face.point(low), face.point(high)]))
+        ends = self.in_plan(face.ends)
         before = ends + SHORT_M * self.in_plan(face.normal)
         strip = shapely.Polygon([*ends, before[1], before[0]])
         above = self.over(strip, self.ceilings) or next(iter(self.ceilings), None)
@@ -78,14 +84,11 @@ def storeys(joint: JointPlanes) -> list[Storey]:
     """The storeys of a building, from below; one without a floor where no level plane was seen from above."""
     up = upward(joint.hesse[:, :3], joint.planes)
     up = np.array([0.0, 0.0, 1.0]) if up is None else up
-    plan = plan_axes(up)
-    cosines = joint.hesse[:, :3] @ up
-    floors = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines > np.cos(ALIKE_RAD))]
-    ceilings = [_level(joint, int(k), up, plan) for k in np.flatnonzero(cosines < -np.cos(ALIKE_RAD))]
+    floors, ceilings = (_levels(joint, up, side) for side in (up, -up))
     grounds = _grounds(floors)
     between = pairwise([-np.inf, *(ground.height for ground in grounds[1:]), np.inf])
     pairs = zip(grounds or [None], between, strict=True)
-    return [_storey(joint, up, plan, ground, heights, floors, ceilings) for ground, heights in pairs]
+    return [_storey(joint, up, ground, heights, floors, ceilings) for ground, heights in pairs]
 
 
 def upward(normals: FloatArray, planes: Sequence[MapPlane]) -> FloatArray | None:
@@ -101,32 +104,31 @@ def plan_axes(up: FloatArray) -> FloatArray:
     return np.column_stack((x, np.cross(up, x))).astype(np.float64)
 
 
-def _level(joint: JointPlanes, plane: int, up: FloatArray, plan: FloatArray) -> Level:
-    frame, seen = joint.planes[plane].plane.frame, valid(joint.planes[plane].seen)
-    outline = valid(shapely.transform(seen, lambda xy: lift(xy, frame) @ plan))
-    middle = lift(np.array(seen.centroid.coords), frame)[0]
-    return Level(plane, float(middle @ up), outline)
+def _levels(joint: JointPlanes, up: FloatArray, side: FloatArray) -> list[Level]:
+    """The level planes seen from above or below, `side` (3,), the largest first."""
+    plan, levels = plan_axes(up), []
+    for plane in np.flatnonzero(joint.hesse[:, :3] @ side > np.cos(ALIKE_RAD)).tolist():
+        frame, seen = joint.planes[plane].plane.frame, valid(joint.planes[plane].seen)
+        outline = valid(shapely.transform(seen, lambda xy, frame=frame: lift(xy, frame) @ plan))
+        middle = lift(np.array(seen.centroid.coords), frame)[0]
+        levels.append(Level(plane, float(middle @ up), outline))
+    return sorted(levels, key=lambda one: -one.outline.area)
 
 
 def _grounds(floors: list[Level]) -> list[Level]:
     """The floor of every storey, from below: the largest, then the next that is not in a storey of one before it."""
     chosen: list[Level] = []
-    for one in _largest_first(floors):
+    for one in floors:
         if all(abs(one.height - other.height) > STOREY_M for other in chosen):
             chosen.append(one)
     return sorted(chosen, key=lambda one: one.height)
 
 
-def _largest_first(levels: list[Level]) -> list[Level]:
-    return sorted(levels, key=lambda one: (-one.outline.area, one.plane))
-
-
 def _storey(
     joint: JointPlanes,
     up: FloatArray,
-    plan: FloatArray,
     ground: Level | None,
-    between: tuple[float, float],
+    between: Interval,
     floors: list[Level],
     ceilings: list[Level],
 ) -> Storey:
@@ -134,15 +136,18 @@ def _storey(
     low, high = between
     floor = 0.0 if ground is None else ground.height
     upright = [k for k in range(len(joint.planes)) if abs(joint.hesse[k, :3] @ up) < np.sin(ALIKE_RAD)]
-    loose = Section(up, floor, None)
-    made = [face_of(joint, k, loose, low, high, floor) for k in upright]
-    heights = [(f.seen.centroid.y, max(f.seen.area, 1e-6 * f.seen.length)) for f in made if f is not None]
+
+    def faces_in(section: Section) -> tuple[Face, ...]:
+        found = (face_of(joint, k, section, low, high, floor) for k in upright)
+        return tuple(face for face in found if face is not None)
+
+    seen = [face.seen for face in faces_in(Section(up, floor, None))]
+    heights = [(one.centroid.y, max(one.area, 1e-6 * one.length)) for one in seen]
     middle = sum(z * w for z, w in heights) / sum(w for _, w in heights) if heights else 0.0
     section = Section(up, floor + middle, None)
     if ground is not None:
         normal, d = joint.hesse[ground.plane, :3], float(joint.hesse[ground.plane, 3])
         section = Section(normal, d + middle, ground.plane)
-    faces = tuple(face for k in upright if (face := face_of(joint, k, section, low, high, floor)) is not None)
-    below = tuple(_largest_first([one for one in floors if low <= one.height < high - STOREY_M / 2.0]))
-    above = tuple(_largest_first([one for one in ceilings if low < one.height <= high]))
-    return Storey(section, plan, floor, below, above, faces)
+    below = tuple(one for one in floors if low <= one.height < high - STOREY_M / 2.0)
+    above = tuple(one for one in ceilings if low < one.height <= high)
+    return Storey(joint, section, plan_axes(up), floor, below, above, faces_in(section))

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, shared
-from slam.floorplan.quantities import JointPlanes, Quantity, Section, distance
+from slam.floorplan.quantities import Quantity
 from slam.floorplan.rooms import BUILT_RAD, THICKEST_M
-from slam.floorplan.storeys import Level, Storey
+from slam.floorplan.storeys import Storey
 from spplanes._check import FloatArray
 
 #: Two faces are of one wall unless chi2 of their angle says so at this level.
@@ -39,52 +39,46 @@ class Wall:
         return np.array([*ends[::-1], *behind])
 
 
-def wall_solids(joint: JointPlanes, section: Section, extents: Sequence[tuple[Face, list[Interval]]]) -> list[Wall]:
+def wall_solids(storey: Storey, extents: Sequence[tuple[Face, list[Interval]]]) -> list[Wall]:
     """Faces of a storey, and from where to where each goes, paired to walls: a stretch with the nearest behind it."""
     found: list[Wall] = []
     for number, (front, spans) in enumerate(extents):
         left = spans
-        for other in _behind(joint, section, front, [face for face, _ in extents]):
+        for other in _behind(storey, front, [face for face, _ in extents]):
             back, others = extents[other]
             common = shared(left, [front.beside(back, span) for span in others])
             left = without(left, common)
             if other > number:
-                found += [Wall(front, back, span, _at(joint, front, back, span)) for span in common]
+                found += [Wall(front, back, span, _at(storey, front, back, span)) for span in common]
     return found
 
 
-def _behind(joint: JointPlanes, section: Section, front: Face, faces: Sequence[Face]) -> list[int]:
+def _behind(storey: Storey, front: Face, faces: Sequence[Face]) -> list[int]:
     """Which faces may be the other side of the wall behind one, the nearest first."""
     found = []
     for k, back in enumerate(faces):
         if front.normal @ back.normal <= -np.cos(ALIKE_RAD):
-            thickness = _at(joint, front, back, (front.covered[0][0], front.covered[-1][1])).value
-            if 0.0 < thickness <= THICKEST_M and _are_parallel(joint, section, front, back):
+            thickness = _at(storey, front, back, (front.covered[0][0], front.covered[-1][1])).value
+            if 0.0 < thickness <= THICKEST_M and _are_parallel(storey, front, back):
                 found.append((thickness, k))
     return [k for _, k in sorted(found)]
 
 
-def _at(joint: JointPlanes, front: Face, back: Face, span: Interval) -> Quantity:
+def _at(storey: Storey, front: Face, back: Face, span: Interval) -> Quantity:
+    """How thick a wall is in the middle of a span."""
     direction = (back.normal - front.normal) / np.linalg.norm(back.normal - front.normal)
     place = front.point(0.5 * (span[0] + span[1]))
-    return joint.quantity(*distance(joint.hesse, front.plane, back.plane, place, direction))
+    return storey.joint.between(front.plane, back.plane, place, direction)
 
 
-def _are_parallel(joint: JointPlanes, section: Section, front: Face, back: Face) -> bool:
+def _are_parallel(storey: Storey, front: Face, back: Face) -> bool:
     """Whether the angle between two faces in the plan is one that noise and building explain, by chi2 of 1 dof."""
-    angle = joint.quantity(*plan_angle(joint, section, front, back))
-    chi2 = angle.value**2 / (angle.sigma**2 + BUILT_RAD**2)
-    return bool(chi2 <= chi2_distribution.isf(_SIGNIFICANCE, 1))
-
-
-def plan_angle(joint: JointPlanes, section: Section, front: Face, back: Face) -> tuple[float, dict[int, FloatArray]]:
-    """By how much two faces are off from back to back in the plan, small angles, rad, and its derivatives."""
-    first, second = joint.hesse[front.plane, :3], joint.hesse[back.plane, :3]
-    gradient = {
-        front.plane: np.append(np.cross(second, section.normal), 0.0),
-        back.plane: np.append(np.cross(section.normal, first), 0.0),
-    }
-    return float(np.cross(first, second) @ section.normal), gradient
+    hesse, up = storey.joint.hesse, storey.section.normal
+    first, second = hesse[front.plane, :3], hesse[back.plane, :3]
+    gradient = np.zeros_like(hesse)
+    gradient[front.plane, :3], gradient[back.plane, :3] = np.cross(second, up), np.cross(up, first)
+    angle = storey.joint.quantity(float(np.cross(first, second) @ up), gradient)  # off from back to back, rad
+    return bool(angle.value**2 / (angle.sigma**2 + BUILT_RAD**2) <= chdtri(1, _SIGNIFICANCE))
 
 
 def without(spans: list[Interval], taken: list[Interval]) -> list[Interval]:
@@ -128,7 +122,7 @@ class Opening:
         return _box(self.face, self.span, self.depth_m)
 
 
-def find_openings(joint: JointPlanes, storey: Storey, faces: Sequence[Face], solids: Sequence[Wall]) -> list[Opening]:
+def find_openings(storey: Storey, faces: Sequence[Face], solids: Sequence[Wall]) -> list[Opening]:
     """The openings of a storey, each once."""
     found: list[Opening] = []
     known: set[frozenset[int]] = set()
@@ -139,55 +133,39 @@ def find_openings(joint: JointPlanes, storey: Storey, faces: Sequence[Face], sol
                 key = frozenset(jamb.plane for jamb in jambs)
                 if key not in known:
                     known.add(key)
-                    found.append(_between(joint, storey, face, jambs, solids))
+                    found.append(_between(storey, face, jambs, solids))
                 continue
             wall = next((solid for solid in solids if solid.front is face and _contains(solid, gap)), None)
             if wall is not None and (both := _gap_behind(wall, gap)) is not None:
-                found.append(_made(joint, storey, face, wall, both, None, wall.thickness.value))
+                found.append(_made(storey, face, wall, both, None, wall.thickness.value))
     return found
 
 
-def _between(
-    joint: JointPlanes, storey: Storey, face: Face, jambs: tuple[Face, Face], solids: Sequence[Wall]
-) -> Opening:
+def _between(storey: Storey, face: Face, jambs: tuple[Face, Face], solids: Sequence[Wall]) -> Opening:
     low, high = (float(face.s_of(jamb.origin)) for jamb in jambs)
     beside = (solid for solid in solids if face in (solid.front, solid.back))
     wall = next((one for one in beside if _contains(one, one.front.beside(face, (low, high)))), None)
-    reach = max(-float(face.before(end)) for jamb in jambs for end in _ends(jamb))
+    reach = max(-float(face.before(end)) for jamb in jambs for end in jamb.ends)
     depth = wall.thickness.value if wall is not None else reach
     place = face.point(0.5 * (low + high)) - 0.5 * depth * face.normal
-    width = joint.quantity(*distance(joint.hesse, jambs[0].plane, jambs[1].plane, place, face.along))
-    return _made(joint, storey, face, wall, (low, high), width, depth)
+    width = storey.joint.between(jambs[0].plane, jambs[1].plane, place, face.along)
+    return _made(storey, face, wall, (low, high), width, depth)
 
 
 def _made(
-    joint: JointPlanes,
-    storey: Storey,
-    face: Face,
-    wall: Wall | None,
-    span: Interval,
-    width: Quantity | None,
-    depth: float,
+    storey: Storey, face: Face, wall: Wall | None, span: Interval, width: Quantity | None, depth: float
 ) -> Opening:
     corners = _box(face, span, depth)
     outline = shapely.Polygon(storey.in_plan(corners))
     middle = corners.mean(axis=0)
     around = outline.buffer(SHORT_M)  # a ceiling or floor that passes over or through the opening goes beyond it
-    lintel, sill = (
-        storey.over(outline, tuple(level for level in levels if around.covers(level.outline)))
-        for levels in (storey.ceilings, storey.floors)
-    )
-    top, bottom = (_height(joint, storey, level, middle) for level in (lintel, sill))
+    floor, heights = storey.section.floor, []
+    for levels in (storey.ceilings, storey.floors):
+        level = storey.over(outline, tuple(level for level in levels if around.covers(level.outline)))
+        plane = None if level is None or level.plane == floor else level.plane
+        heights.append(storey.rise(floor, plane, middle))
     below, above = face.gap_upright(0.5 * (span[0] + span[1]), CUT_M)
-    return Opening(face, wall, span, width, top, bottom, max(below or 0.0, 0.0), above, depth)
-
-
-def _height(joint: JointPlanes, storey: Storey, level: Level | None, middle: FloatArray) -> Quantity | None:
-    """Of a level plane above the floor; None where one of them was not seen, or they are the same."""
-    floor = storey.section.floor
-    if level is None or floor is None or level.plane == floor:
-        return None
-    return joint.quantity(*distance(joint.hesse, floor, level.plane, middle, storey.section.normal))
+    return Opening(face, wall, span, width, heights[0], heights[1], max(below or 0.0, 0.0), above, depth)
 
 
 def _jambs(storey: Storey, face: Face, gap: Interval) -> tuple[Face, Face] | None:
@@ -206,12 +184,8 @@ def _is_jamb(one: Face, face: Face, s: float, sign: float) -> bool:
     if sign * float(one.normal @ face.along) < np.cos(ALIKE_RAD) or abs(float(face.s_of(one.origin)) - s) > SHORT_M:
         return False
     low, high = one.seen.bounds[1], one.seen.bounds[3]
-    before = sorted(float(face.before(end)) for end in _ends(one))
+    before = sorted(float(face.before(end)) for end in one.ends)
     return low < CUT_M < high and -THICKEST_M <= before[0] <= 0.0 and -SHORT_M <= before[1] <= SHORT_M / 2.0
-
-
-def _ends(face: Face) -> tuple[FloatArray, FloatArray]:
-    return face.point(face.seen.bounds[0]), face.point(face.seen.bounds[2])
 
 
 def _contains(wall: Wall, gap: Interval) -> bool:
