@@ -21,7 +21,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.wheel_noise import OdometryNoise
-from slam.simulation.buildings import office, office_path
+from slam.simulation.buildings import loop_path, office
 from spplanes import Location, Plane
 
 #: Way between two keyframes, how far and how much of a plane is seen, m; how many planes at most.
@@ -86,7 +86,7 @@ class _Spent:
 def mission(count: int, seed: int) -> Iterator[tuple[Keyframe, np.ndarray]]:
     """Keyframes of a robot that drives round the office as often as it takes, with their true poses."""
     rng, laps = np.random.default_rng(seed), int(np.ceil(count * STEP_M / 78.0)) + 1
-    path, planes, noise, before = office_path(laps), office().planes, OdometryNoise(), None
+    path, planes, noise, before = loop_path("office", laps), office().planes, OdometryNoise(), None
     for index in range(count):
         pose, motion = planar_transform(*path.at(np.array([index * STEP_M]))[0]), None
         if before is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from slam.simulation.robots import Path
 from slam.simulation.world import Hole, World, WorldBuilder
 
-DOOR_WIDTH_M, DOOR_HEIGHT_M = 0.95, 2.05
+DOOR_HEIGHT_M = 2.05
 #: How far a closed door is set back, and how thick the walls between corridors and rooms are, m.
 _DOOR_DEPTH_M, _WALL_THICKNESS_M = 0.12, 0.12
 #: Depth of the narrow closed chamber behind an open doorway, m.
@@ -179,12 +179,6 @@ def room() -> World:
     return builder.build()
 
 
-def room_path(laps: int) -> Path:
-    """A rounded rectangle about the middle of the room, from the origin."""
-    corners = [(1.5, 0.0), (1.5, 1.2), (-1.8, 1.2), (-1.8, 0.0)]
-    return Path.rounded([(0.0, 0.0), *(corners * laps), (0.5, 0.0)], 0.5)
-
-
 def hall() -> World:
     """A closed hall: long walls, gables, a roof of two slopes, two rows of square pillars, crates and round columns."""
     builder = WorldBuilder()
@@ -204,16 +198,10 @@ def hall() -> World:
     return builder.build()
 
 
-def hall_path(laps: int) -> Path:
-    """A rounded rectangle between the rows of pillars and the walls, from the origin's side of it."""
-    corners = [(11.5, 0.0), (11.5, 6.5), (-12.0, 6.5), (-12.0, 0.0)]
-    return Path.rounded([(0.0, 0.0), *(corners * laps), (1.0, 0.0)], 1.5)
-
-
 #: Corners of the rectangle along the middle of the corridors, m; the robot starts at the origin, heading along x.
 LEFT_M, RIGHT_M, BOTTOM_M, TOP_M = -8.0, 18.0, 0.0, 14.0
-#: Width and height of the corridors, and the radius the robot takes its corners with, m.
-OFFICE_WIDTH_M, OFFICE_HEIGHT_M, TURN_RADIUS_M = 2.2, 2.7, 0.8
+#: Width and height of the corridors, m.
+OFFICE_WIDTH_M, OFFICE_HEIGHT_M = 2.2, 2.7
 
 #: Features of the eight walls, outer then inner, anticlockwise from the bottom: kind, start, end along the wall, m.
 _OUTER = (
@@ -264,7 +252,17 @@ def _walls(rectangle: tuple[float, float, float, float], side: float) -> list[Wa
     ]
 
 
-def office_path(laps: int) -> Path:
-    """Round the ring `laps` times, anticlockwise from the origin, and 2 m beyond where it began."""
-    corners = [(RIGHT_M, BOTTOM_M), (RIGHT_M, TOP_M), (LEFT_M, TOP_M), (LEFT_M, BOTTOM_M)]
-    return Path.rounded([(0.0, 0.0), *(corners * laps), (2.0, 0.0)], TURN_RADIUS_M)
+#: Worlds that are a loop: x low, x high and y of the far side of the way round, the radius of its corners, and how far
+#: it goes on beyond where it began, m.
+LOOPS = {
+    "office": (office, LEFT_M, RIGHT_M, TOP_M, 0.8, 2.0),
+    "room": (room, -1.8, 1.5, 1.2, 0.5, 0.5),
+    "hall": (hall, -12.0, 11.5, 6.5, 1.5, 1.0),  # between the rows of pillars and the walls
+}
+
+
+def loop_path(world: str, laps: int) -> Path:
+    """The way through a world that is a loop, so many times, anticlockwise from the origin."""
+    _, left, right, top, radius_m, beyond = LOOPS[world]
+    corners = [(right, 0.0), (right, top), (left, top), (left, 0.0)]
+    return Path.rounded([(0.0, 0.0), *(corners * laps), (beyond, 0.0)], radius_m)

@@ -14,7 +14,7 @@ from slam.io.carmen import write_carmen
 from slam.io.cloud_folders import write_cloud_folder
 from slam.sensors.log import LaserScan, Log
 from slam.sensors.rig import Rig
-from slam.simulation.buildings import corridor, hall, hall_path, office, office_path, room, room_path
+from slam.simulation.buildings import LOOPS, corridor, loop_path
 from slam.simulation.record import Plan, Truth, record
 from slam.simulation.robots import Path as DrivenPath
 from slam.simulation.robots import checked_rig, paper_rig, spinning_rig
@@ -24,8 +24,6 @@ from spplanes._check import FloatArray, as_positive
 PAPER_SCANS, PAPER_SPACING_M = 1083, 0.027
 #: Way between two scans of the spinning laser, m.
 SPINNING_SPACING_M = 0.5
-#: Worlds that are a loop: what they look like, and the way through them for so many laps.
-_LOOPS = {"office": (office, office_path), "room": (room, room_path), "hall": (hall, hall_path)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,19 +120,13 @@ def simulate_mission(
     step = SPINNING_SPACING_M if world == "hall" else PAPER_SPACING_M
     step = step if spacing_m is None else as_positive("spacing_m", spacing_m)
     robot = checked_rig(rig) if rig is not None else spinning_rig() if world == "hall" else paper_rig()
-    plan = _plan(world, robot, step, laps, n_scans)
+    if world == "corridor":  # as long as its scans, else as the paper's
+        steps = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step) if n_scans is None else n_scans - 1
+        plan = Plan(world, corridor(steps * step), DrivenPath.weaving(steps * step), robot, step)
+    else:
+        plan = Plan(world, LOOPS[world][0](), loop_path(world, laps), robot, step)
     possible = int(plan.path.length_m / step + 1e-9) + 1
     if n_scans is not None and n_scans > possible:
         raise ValueError(f"n_scans: expected at most {possible} for {laps} laps, got {n_scans}")
     log, truth = record(plan, possible if n_scans is None else n_scans, seed)
     return Mission(log, robot, truth)
-
-
-def _plan(world: str, robot: Rig, step_m: float, laps: int, n_scans: int | None) -> Plan:
-    """A world and the way through it: a corridor is as long as its scans, else as the paper's; others have laps."""
-    if world in _LOOPS:
-        build, drive = _LOOPS[world]
-        return Plan(world, build(), drive(laps), robot, step_m)
-    steps = round((PAPER_SCANS - 1) * PAPER_SPACING_M / step_m) if n_scans is None else n_scans - 1
-    way_m = steps * step_m
-    return Plan(world, corridor(way_m), DrivenPath.weaving(way_m), robot, step_m)
