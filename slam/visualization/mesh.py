@@ -90,8 +90,7 @@ def write_glb(path: Path | str, planes: Sequence[MapPlane]) -> None:
     n_points. glTF has single precision and y up: coordinates are relative to the plane's centre, which is the node's
     translation, and a root node "map" turns z up.
     """
-    document, chunks = _scene([plane for plane in planes if len(mesh_of([plane]).triangles)])
-    binary = b"".join(chunks)
+    document, binary = _scene(planes)
     if binary:
         document["buffers"] = [{"byteLength": len(binary)}]
     text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
@@ -99,58 +98,46 @@ def write_glb(path: Path | str, planes: Sequence[MapPlane]) -> None:
     Path(path).write_bytes(struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body)
 
 
-def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], list[bytes]]:
-    buffers = _Buffers()
+def _scene(planes: Sequence[MapPlane]) -> tuple[dict[str, Any], bytes]:
+    """The document, and its arrays one after the other; every one is a multiple of four bytes long."""
     nodes: list[dict[str, Any]] = [{"name": "map", "rotation": _Z_UP}]
-    meshes = []
-    for index, plane in enumerate(planes):
-        meshes.append({"name": f"plane {plane.id}", "primitives": [_primitive(plane, mesh_of([plane]), buffers)]})
-        node = {"name": f"plane {plane.id}", "mesh": index, "translation": plane.plane.centre.tolist()}
+    meshes, accessors, views, binary = [], [], [], bytearray()
+
+    def add(array: np.ndarray, component: int, kind: str, target: int, **more: Any) -> int:
+        """Index of the accessor of an array."""
+        data = np.ascontiguousarray(array).tobytes()
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data), "target": target})
+        accessor = {"bufferView": len(accessors), "componentType": component, "count": len(array), "type": kind}
+        accessors.append({**accessor, **more})
+        binary.extend(data)
+        return len(accessors) - 1
+
+    for plane in planes:
+        mesh = mesh_of([plane])
+        if not len(mesh.triangles):
+            continue
+        positions = (mesh.vertices - plane.plane.centre).astype("<f4")
+        bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+        opaque = np.full((len(positions), 1), 255, dtype=np.uint8)
+        attributes = {
+            "POSITION": add(positions, _FLOAT, "VEC3", _VERTICES, **bounds),
+            "NORMAL": add(mesh.normals.astype("<f4"), _FLOAT, "VEC3", _VERTICES),
+            "COLOR_0": add(np.hstack((mesh.colours, opaque)), _UBYTE, "VEC4", _VERTICES, normalized=True),
+        }
+        indices = add(mesh.triangles.astype("<u4").ravel(), _UINT, "SCALAR", _INDICES)
+        node = {"name": f"plane {plane.id}", "mesh": len(meshes), "translation": plane.plane.centre.tolist()}
+        primitive = {"attributes": attributes, "indices": indices, "material": 0}
+        meshes.append({"name": f"plane {plane.id}", "primitives": [primitive]})
         numbers = {"id": plane.id, "normal": plane.plane.normal.tolist(), "d": plane.plane.d}
         numbers |= {"sigma_m": float(np.sqrt(plane.plane.covariance[0, 0])), "n_points": int(plane.plane.n_points)}
         nodes.append({**node, "extras": numbers})
     asset = {"version": "2.0", "generator": f"spplanes {__version__}"}
     document: dict[str, Any] = {"asset": asset, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes}
-    if planes:
+    if meshes:
         nodes[0]["children"] = list(range(1, len(nodes)))
         matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
-        document |= {"meshes": meshes, "materials": [matte]}
-        document |= {"accessors": buffers.accessors, "bufferViews": buffers.views}
-    return document, buffers.chunks
-
-
-def _primitive(plane: MapPlane, mesh: Mesh, buffers: _Buffers) -> dict[str, Any]:
-    positions = (mesh.vertices - plane.plane.centre).astype("<f4")
-    bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
-    opaque = np.full((len(positions), 1), 255, dtype=np.uint8)
-    return {
-        "attributes": {
-            "POSITION": buffers.add(positions, _FLOAT, "VEC3", _VERTICES, **bounds),
-            "NORMAL": buffers.add(mesh.normals.astype("<f4"), _FLOAT, "VEC3", _VERTICES),
-            "COLOR_0": buffers.add(np.hstack((mesh.colours, opaque)), _UBYTE, "VEC4", _VERTICES, normalized=True),
-        },
-        "indices": buffers.add(mesh.triangles.astype("<u4").ravel(), _UINT, "SCALAR", _INDICES),
-        "material": 0,
-    }
-
-
-class _Buffers:
-    """Arrays one after the other in the binary chunk; every one a multiple of four bytes long."""
-
-    def __init__(self) -> None:
-        self.chunks: list[bytes] = []
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def add(self, array: np.ndarray, component: int, kind: str, target: int, **more: Any) -> int:
-        """Index of the accessor of an array."""
-        data = np.ascontiguousarray(array).tobytes()
-        before = sum(map(len, self.chunks))
-        self.views.append({"buffer": 0, "byteOffset": before, "byteLength": len(data), "target": target})
-        accessor = {"bufferView": len(self.accessors), "componentType": component, "count": len(array), "type": kind}
-        self.accessors.append({**accessor, **more})
-        self.chunks.append(data)
-        return len(self.accessors) - 1
+        document |= {"meshes": meshes, "materials": [matte], "accessors": accessors, "bufferViews": views}
+    return document, bytes(binary)
 
 
 def _chunk(kind: int, data: bytes, padding: bytes) -> bytes:

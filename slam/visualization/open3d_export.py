@@ -28,8 +28,6 @@ ColourBy = Literal["plane", "sigma"]
 
 #: Grey for points that belong to no plane, RGB in 0..1.
 _NO_PLANE_RGB = (0.6, 0.6, 0.6)
-#: A plane has at least so many points; less were never fitted.
-_FEWEST_POINTS = 3
 #: Corners of a drawn ellipse.
 _ELLIPSE_CORNERS = 48
 #: Hues follow each other by the golden ratio: neighbours in a list are far apart in colour.
@@ -140,21 +138,15 @@ def ellipsoids_to_lines(
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
     reach = as_positive("scale", scale) * np.sqrt(2.0 * gammaincinv(0.5 * 3, confidence))
+    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
+    circle = np.column_stack((np.zeros_like(turns), np.cos(turns), np.sin(turns)))
+    circles = np.stack([np.roll(circle, axis, axis=1) for axis in range(3)])  # round each axis
     chains = []
     for centre, values, vectors in zip(points, *np.linalg.eigh(matrices), strict=True):
         axes = reach * np.sqrt(np.maximum(values, 0.0)) * vectors
-        chains += list(_unit_circles() @ axes.T + centre)
+        chains += list(circles @ axes.T + centre)
     ids = np.repeat(np.arange(len(points), dtype=np.int32), 3 * _ELLIPSE_CORNERS)
     return _line_set(chains, np.tile(np.asarray(rgb, dtype=np.float64), (len(ids), 1)), ids, tensor)
-
-
-def _unit_circles() -> FloatArray:
-    """The circles round the three axes, closed, shape (3, C, 3)."""
-    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
-    circles = np.zeros((3, len(turns), 3))
-    for axis in range(3):
-        circles[axis, :, axis - 2], circles[axis, :, axis - 1] = np.cos(turns), np.sin(turns)
-    return circles
 
 
 def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tensor: bool = False) -> Any:
@@ -219,7 +211,7 @@ def _as_map_planes(given: Any) -> list[MapPlane]:
     for index, plane in enumerate(planes):
         if isinstance(plane, MapPlane):
             result.append(plane)
-        elif plane.outline is not None or plane.n_points >= _FEWEST_POINTS:
+        elif plane.outline is not None or plane.n_points >= 3:  # less were never fitted
             result.append(MapPlane(index, plane, plane.outline or _rectangle_of(plane), 1, ("plane",)))
     if empty := len(planes) - len(result):
         warnings.warn(
