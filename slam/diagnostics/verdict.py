@@ -17,8 +17,6 @@ Grade = Literal["doubtful", "broken"]
 
 #: Probability that a sound run is called doubtful or broken, over all kinds of evidence together.
 SIGNIFICANCE = 0.01
-#: Ranges of keyframes that a sentence names.
-_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -117,6 +115,6 @@ def named(keyframes: Sequence[int]) -> str:
     ranges = ranges_of(keyframes)
     if [len(part) for part in ranges] == [1]:
         return f"keyframe {ranges[0][0]}"
-    told = [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in ranges[:_NAMED]]
+    told = [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in ranges[:3]]
     more = len(ranges) - len(told)
     return f"keyframes {', '.join(told)}" + (f" and {more} more" if more else "")

@@ -21,37 +21,37 @@ from spplanes._check import FloatArray
 
 #: A return is of the same surface, or in front of it, by more than this, m: what a map may err by before it is wrong.
 TOLERANCE_M = 0.1
-#: One return in a cell of this side is looked at: neighbours are of one surface, and say the same, m.
-_LOOK_M = 0.5
-#: Keyframes further apart than this are not compared, m: what one sees of the other's surroundings is at a slant.
-_REACH_M = 4.0
-#: Keyframes within a stretch of the way of this length look at one place together, m.
-_STRETCH_M = 2.0
 
 #: What one keyframe saw, by level lasers or by 3D sensors, to be asked what it says of what another one saw.
 V = TypeVar("V", "View", "ScanView")
 
 
 def one_of_each_cell(places: FloatArray) -> np.ndarray:
-    """Of places (N, 2) or (N, 3) the first in every square or cube that is looked at once, ascending rows (M,)."""
-    _, first = np.unique(np.floor(places / _LOOK_M).astype(np.int64), axis=0, return_index=True)
+    """Of places (N, 2) or (N, 3) the first in every square or cube of 0.5 m, ascending rows (M,).
+
+    Neighbours are of one surface, and say the same.
+    """
+    _, first = np.unique(np.floor(places / 0.5).astype(np.int64), axis=0, return_index=True)
     return np.sort(first)
 
 
 def way_along(poses: FloatArray) -> FloatArray:
-    """How far along the way poses (N, 4, 4) are, in the stretches that look at one place together, shape (N,)."""
-    return way_to(poses) / _STRETCH_M
+    """How far along the way poses (N, 4, 4) are, in stretches of 2 m, which look at one place together, shape (N,)."""
+    return way_to(poses) / 2.0
 
 
 def pairs_of(views: Sequence[int], poses: FloatArray) -> list[tuple[int, int]]:
-    """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of some 8 other stretches of the way."""
+    """Keyframes to compare by poses (N, 4, 4) of all: each with the nearest of some 8 other stretches of the way.
+
+    Further apart than 4 m what one sees of the other's surroundings is at a slant.
+    """
     places, way = poses[:, :2, 3], way_along(poses)
     held, pairs = np.asarray(views), []
     if not len(held):
         return []
     tree = KDTree(places[held])
     for index in views:
-        near = held[sorted(tree.query_ball_point(places[index], _REACH_M))]
+        near = held[sorted(tree.query_ball_point(places[index], 4.0))]
         near = near[near != index]
         away = np.linalg.norm(places[near] - places[index], axis=1)
         stretch = np.floor(np.abs(way[near] - way[index])).astype(int)
@@ -69,10 +69,6 @@ def held_against(view: View | ScanView, places: FloatArray) -> tuple[int, int]:
     """How many places of surfaces a view confirms, and how many it sees through."""
     confirmed = view.confirms(places)
     return int(confirmed.sum()), int((view.sees_through(places) & ~confirmed).sum())
-
-
-#: Between beams further apart than this nothing is known to be free, rad: a few steps of a laser of 0.5 or 1 deg.
-_GAP_RAD = np.deg2rad(2.2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +116,8 @@ class View:
             bearing = np.arctan2(away[:, 1], away[:, 0])
             after = np.clip(np.searchsorted(bearings, bearing), 1, len(bearings) - 1)
             low, high = bearings[after - 1], bearings[after]
-            between = (high - low < _GAP_RAD) & (bearing >= low) & (bearing <= high)
+            # between beams further apart than a few steps of a laser of 0.5 or 1 deg nothing is known to be free
+            between = (high - low < np.deg2rad(2.2)) & (bearing >= low) & (bearing <= high)
             free_m = np.minimum(ranges[after], ranges[after - 1]) - TOLERANCE_M
             through |= between & (np.linalg.norm(away, axis=1) < free_m)
         return through
@@ -135,25 +132,18 @@ def views_of(keyframes: Sequence[Keyframe]) -> dict[int, View]:
     }
 
 
-#: Walls face level to this, sine of 30 deg. Where on a floor a body is its floor and ceiling do not tell.
-_LEVEL = 0.5
-#: What stands before a surface is nearer by this share of its range at least: as wide are the elements it is made of.
-_WIDE_SHARE = 0.03
-#: Elements further apart than this share of their range, and than `NEIGHBOURS_APART`, are of two surfaces.
-_APART_SHARE = 0.1
-
-
 class ScanView:
     """All that a 3D sensor saw from one keyframe, to be asked what it says of what another one saw.
 
-    Its looks are walls: elements (N, 9) that face level, one in every cube, on no thing that is narrower
-    than `MOVABLE_M`, for that may be gone for others. Where edges are depends on who looks.
+    Its looks are walls: elements (N, 9) that face level to 30 deg, one in every cube, on no thing that is narrower than
+    `MOVABLE_M`, for that may be gone for others. Where edges are depends on who looks; where on a floor a body is its
+    floor and ceiling do not tell.
     """
 
     def __init__(self, scan: Scan, up: FloatArray) -> None:
         """A scan, and the direction up (3,) in its body."""
         self._scan = scan
-        walls = scan.elements[(scan.elements[:, 7] != ON_EDGE) & (np.abs(scan.elements[:, 3:6] @ up) < _LEVEL)]
+        walls = scan.elements[(scan.elements[:, 7] != ON_EDGE) & (np.abs(scan.elements[:, 3:6] @ up) < 0.5)]
         walls = walls[~_movable(walls, scan.viewpoint, up)]
         self.looks = walls[one_of_each_cell(walls[:, :3])]
 
@@ -167,7 +157,8 @@ class ScanView:
 
     def sees_through(self, places: FloatArray) -> np.ndarray:
         """Which elements (N, 9) stand before all that was seen about their direction by more than that, (N,)."""
-        return self._scan.through(places[:, :3], TOLERANCE_M, _WIDE_SHARE)
+        # nearer at least by the share of the range that elements are wide
+        return self._scan.through(places[:, :3], TOLERANCE_M, 0.03)
 
 
 def scan_views_of(keyframes: Sequence[Keyframe], poses: FloatArray) -> dict[int, ScanView]:
@@ -184,7 +175,8 @@ def _movable(elements: FloatArray, viewpoint: FloatArray, up: FloatArray) -> np.
     points = elements[:, :3]
     if len(points) < 2:
         return np.ones(len(points), dtype=bool)
-    limit = np.maximum(_APART_SHARE * np.linalg.norm(points - viewpoint, axis=1), NEIGHBOURS_APART * elements[:, WIDTH])
+    # further apart than all of these they are of two surfaces
+    limit = np.maximum(0.1 * np.linalg.norm(points - viewpoint, axis=1), NEIGHBOURS_APART * elements[:, WIDTH])
     limit = np.maximum(LEAST_GAP_M, limit)
     about = min(9, len(points))  # itself, and eight about it
     apart, near = KDTree(points).query(points, k=about, distance_upper_bound=float(limit.max()))

@@ -18,9 +18,6 @@ from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 
-#: Places on a prior plane that level lasers are asked about are this far apart, m.
-_STEP_M = 0.5
-
 
 def _fix_a_place(normals: Sequence[FloatArray]) -> bool:
     """Whether planes of these normals, two of them 15 deg apart, fix a place on the floor between them."""
@@ -69,7 +66,7 @@ def _through(known: Sequence[Landmark], run: PlaneSlam, views: Mapping[int, View
 
 
 def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
-    """Places along an upright plane, at half its height, in the world, shape (N, 3); none on floors and ceilings.
+    """Places every 0.5 m along an upright plane, at half its height, in the world, (N, 3); none on floors and ceilings.
 
     Only those are asked about whose vertical in the plane meets what was seen of it.
     """
@@ -79,7 +76,7 @@ def _places_on(landmark: Landmark, world_T_plane: FloatArray) -> FloatArray:
     direction = world_T_plane[:3, :2].T @ across
     corners = landmark.extent.corners
     middle, along = corners.mean(axis=0), (corners - corners.mean(axis=0)) @ direction
-    steps = np.arange(along.min() + 0.5 * _STEP_M, along.max(), _STEP_M)
+    steps = np.arange(along.min() + 0.25, along.max(), 0.5)
     flat = middle + steps[:, None] * direction
     up = world_T_plane[2, :2] / max(float(np.linalg.norm(world_T_plane[2, :2])), 1e-9)
     verticals = shapely.linestrings(np.stack((flat - 10.0 * up, flat + 10.0 * up), axis=1))

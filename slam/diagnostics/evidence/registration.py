@@ -13,11 +13,6 @@ from slam.diagnostics.verdict import Evidence, Verdict, at_least, weigh
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from spplanes._check import FloatArray
 
-#: Planes that a place is made of, and that fit it whatever it is: three offsets tell a translation.
-_NEEDED = 3
-#: Probability that a place in another building has as many planes in common. Lines of sight refute four in five of such
-#: places and more, so that all together take another building for the same within `SIGNIFICANCE`.
-_CHANCE = 0.05
 #: A and B, as the keyframes of a run of two.
 _BOTH = (0, 1)
 
@@ -61,15 +56,16 @@ def _free_space(match: CloudMatch) -> Iterator[Evidence]:
 def _chance(match: CloudMatch) -> Iterator[Evidence]:
     """As many planes in both as another place would have by chance.
 
-    Three planes fit some place in any building. What each other plane finds by chance the places say that were looked
-    at and are not the one: as often as that, of as many places, the best would have as many (binomial test, Bonferroni;
-    one plane of two is what a test knows beforehand, Laplace's rule).
+    Three planes fit some place in any building: three offsets tell a translation. What each other plane finds by chance
+    the places say that were looked at and are not the one: as often as that, of as many places, the best would have as
+    many (binomial test, Bonferroni; one plane of two is what a test knows beforehand, Laplace's rule).
     """
-    others = np.maximum(np.array(match.matched_elsewhere, dtype=np.int64) - _NEEDED, 0)
-    spare, free = match.matched - _NEEDED, max(match.n_planes - _NEEDED, 0)
+    others = np.maximum(np.array(match.matched_elsewhere, dtype=np.int64) - 3, 0)
+    spare, free = match.matched - 3, max(match.n_planes - 3, 0)
     share = (others.sum() + 1.0) / (len(others) * free + 2.0)
     chance = min((len(others) + 1) * float(at_least(spare, free, min(share, 1.0))), 1.0)
-    if chance > _CHANCE:
+    # lines of sight refute four in five places in other buildings and more: together within `SIGNIFICANCE`
+    if chance > 0.05:
         sentence = (
             f"{match.matched} of {match.n_planes} planes are in both: with probability {chance:.2g} "
             "another place, or another building, would have as many"

@@ -22,8 +22,6 @@ from slam.sensors.rig import Sensor
 from spplanes import Plane
 from spplanes._check import FloatArray
 
-#: A ray counts as through a plane so far inside its border, m: outlines are rougher than this nowhere.
-_INSIDE_M = 0.1
 #: Planes whose normals are within 10 deg may be one.
 ALIKE = float(np.cos(np.deg2rad(10.0)))
 
@@ -53,8 +51,8 @@ class Surfaces:
 
 
 def _without_border(outline: _Area | None) -> _Area | None:
-    """What rays cannot pass beside; None where an outline is all border."""
-    inner = None if outline is None else outline.buffer(-_INSIDE_M)
+    """What rays cannot pass beside; None where an outline is all border, 0.1 m: outlines are rougher nowhere."""
+    inner = None if outline is None else outline.buffer(-0.1)
     return inner if isinstance(inner, (shapely.Polygon, shapely.MultiPolygon)) and not inner.is_empty else None
 
 
@@ -134,11 +132,6 @@ def free_space_evidence(views: Mapping[int, V], poses: FloatArray) -> Iterator[E
     yield Evidence("free space", grade, float(p_values.min()), gone / seen, "of looks", frames, sentence)
 
 
-#: Nearer than this two planes are one for all that a map is used for; further apart than that they are one before the
-#: other, and not one twice: there rays tell, m.
-_TOGETHER_M, _APART_M = 0.02, 0.3
-
-
 def doubled_evidence(run: PlaneSlam, surfaces: Surfaces) -> Iterator[Evidence]:
     """Planes of the map that lie to at least half over a larger one that faces the same way, centimetres apart.
 
@@ -157,7 +150,11 @@ def doubled_evidence(run: PlaneSlam, surfaces: Surfaces) -> Iterator[Evidence]:
 
 
 def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:
-    """Landmarks (larger, smaller) that double each other, and the distance between, m; each smaller one once."""
+    """Landmarks (larger, smaller) that double each other, and the distance between, m; each smaller one once.
+
+    Nearer than 2 cm two planes are one for all that a map is used for; further apart than 0.3 m they are one before the
+    other, and not one twice: there rays tell.
+    """
     if not surfaces.ids:
         return []
     frames = np.array([frame for frame, _ in surfaces.walls])
@@ -170,7 +167,7 @@ def doubled_pairs(surfaces: Surfaces) -> list[tuple[int, int, float]]:
         centre = frame[:3, :2] @ np.array([outline.centroid.x, outline.centroid.y]) + frame[:3, 3]
         gaps = np.einsum("ni,ni->n", centre - frames[:, :3, 3], frames[:, :3, 2])
         alike = frames[:, :3, 2] @ frames[small, :3, 2] > ALIKE
-        near = (np.abs(gaps) > _TOGETHER_M) & (np.abs(gaps) < _APART_M)
+        near = (np.abs(gaps) > 0.02) & (np.abs(gaps) < 0.3)
         for large in np.flatnonzero(larger & alike & near).tolist():
             larger_frame, larger_outline = surfaces.walls[large]
             moved = valid(flatten(outline, inverse(larger_frame) @ frame))
