@@ -20,8 +20,6 @@ ALIKE_RAD = np.deg2rad(5.0)
 #: The seen part of a face ends up to here before the face does, m: beams 1 deg apart at 10 m hit a wall 0.17 m apart,
 #: at a slant more.
 SHORT_M = 0.3
-#: A gap no wider than this in a wall is a doorway or something that stood before it; DIN 18101 has leaves to 1.235 m.
-DOORWAY_M = 1.25
 
 Interval = tuple[float, float]
 
@@ -42,8 +40,11 @@ class Face:
 
     @cached_property
     def covered(self) -> list[Interval]:
-        """Where along the line it was seen, at any height; gaps no wider than a doorway are closed."""
-        return closed(_widths(self.seen), DOORWAY_M)
+        """Where along the line it was seen, at any height; gaps no wider than a doorway are closed.
+
+        They are doorways, or something stood before them; DIN 18101 has leaves to 1.235 m.
+        """
+        return closed(_spans(self.seen, 0), 1.25)
 
     @cached_property
     def extended(self) -> list[Interval]:
@@ -80,23 +81,22 @@ class Face:
     def gaps_at(self, height: float) -> list[Interval]:
         """Where along `covered` nothing was seen of it at a height above the floor, between parts that were, m."""
         level = shapely.LineString([(self.seen.bounds[0], height), (self.seen.bounds[2], height)])
-        cut = shapely.intersection(valid(self.seen), level)
-        gaps = [(one[1], other[0]) for one, other in pairwise(closed(_widths(cut), 0.0))]
+        seen = closed(_spans(shapely.intersection(valid(self.seen), level), 0), 0.0)
+        gaps = [(one[1], other[0]) for one, other in pairwise(seen)]
         return [gap for gap in gaps if any(low <= gap[0] and gap[1] <= high for low, high in self.covered)]
 
     def gap_upright(self, s: float, height: float) -> tuple[float | None, float | None]:
         """Up to where it was seen below a place on it at which it was not, and from where on above; heights, m."""
         line = shapely.LineString([(s, self.seen.bounds[1] - 1.0), (s, self.top + 1.0)])
-        cut = shapely.transform(shapely.intersection(valid(self.seen), line), lambda sz: sz[:, ::-1])
-        pieces = closed(_widths(cut), 0.0)
-        below, above = [b for _, b in pieces if b <= height], [a for a, _ in pieces if a >= height]
+        seen = closed(_spans(shapely.intersection(valid(self.seen), line), 1), 0.0)
+        below, above = [b for _, b in seen if b <= height], [a for a, _ in seen if a >= height]
         return max(below, default=None), min(above, default=None)
 
 
-def _widths(geometry: BaseGeometry) -> list[Interval]:
-    """From where to where each polygon and each segment of a geometry goes along x."""
+def _spans(geometry: BaseGeometry, axis: int) -> list[Interval]:
+    """From where to where each polygon and each segment of a geometry goes along x or y."""
     corners = [shapely.get_coordinates(polygon) for polygon in polygons_of(geometry)] + segments_of(geometry)
-    return [(float(one[:, 0].min()), float(one[:, 0].max())) for one in corners if len(one)]
+    return [(float(one[:, axis].min()), float(one[:, axis].max())) for one in corners if len(one)]
 
 
 def face_of(joint: JointPlanes, plane: int, section: Section, low: float, high: float, floor: float) -> Face | None:

@@ -27,9 +27,8 @@ from slam.floorplan.faces import ALIKE_RAD, SHORT_M, Face, Interval, closed, cov
 from slam.floorplan.storeys import Storey
 from spplanes._check import FloatArray
 
-#: Corners of cells are in whole micrometres, so that lines through one point meet in one corner; lines around all, m.
-_GRID_M, _AROUND_M = 1e-6, 2.0
-
+#: Corners of cells are in whole micrometres, so that lines through one point meet in one corner, m.
+_GRID_M = 1e-6
 #: A corner of a cell, (x, y) of the plan, m.
 Node = tuple[float, float]
 
@@ -90,9 +89,9 @@ def _is_in_line(face: Face, base: Face) -> bool:
 
 
 def cells_of(storey: Storey, lines: Sequence[Line]) -> list[shapely.Polygon]:
-    """The cells that the lines, and a frame round all that was seen, cut the plan into; corners anticlockwise."""
+    """The cells that the lines, and a frame 2 m round all that was seen, cut the plan into; corners anticlockwise."""
     ends = storey.in_plan(np.array([line.base.point(s) for line in lines for span in line.covered for s in span]))
-    (west, south), (east, north) = ends.min(axis=0) - _AROUND_M, ends.max(axis=0) + _AROUND_M
+    (west, south), (east, north) = ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0
     box = shapely.box(west, south, east, north)
     reach = np.hypot(east - west, north - south)
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])

@@ -19,8 +19,6 @@ from spplanes._check import FloatArray
 
 #: Floors are at least this far apart, m: what is level and lower is a table or a step. No room is lower.
 STOREY_M = 2.0
-#: A normal this near to the world's z is level before the floor itself tells what is level.
-_ABOUT_LEVEL = np.cos(np.deg2rad(30.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +90,8 @@ def storeys(joint: JointPlanes) -> list[Storey]:
 
 
 def upward(normals: FloatArray, planes: Sequence[MapPlane]) -> FloatArray | None:
-    """Of planes with normals (P, 3) the largest floor's, (3,), which the world's z tells to be one; None: no floor."""
-    floors = [k for k in range(len(planes)) if normals[k, 2] > _ABOUT_LEVEL]
+    """Of planes with normals (P, 3) the largest floor's, (3,), within 30 deg of the world's z; None: no floor."""
+    floors = [k for k in range(len(planes)) if normals[k, 2] > np.cos(np.deg2rad(30.0))]
     return normals[max(floors, key=lambda k: planes[k].seen.area)] if floors else None
 
 

@@ -15,9 +15,6 @@ from slam.floorplan.rooms import BUILT_RAD, THICKEST_M
 from slam.floorplan.storeys import Storey
 from spplanes._check import FloatArray
 
-#: Two faces are of one wall unless chi2 of their angle says so at this level.
-_SIGNIFICANCE = 1e-3
-
 
 @dataclass(frozen=True, eq=False)
 class Wall:
@@ -78,7 +75,7 @@ def _are_parallel(storey: Storey, front: Face, back: Face) -> bool:
     gradient = np.zeros_like(hesse)
     gradient[front.plane, :3], gradient[back.plane, :3] = np.cross(second, up), np.cross(up, first)
     angle = storey.joint.quantity(float(np.cross(first, second) @ up), gradient)  # off from back to back, rad
-    return bool(angle.value**2 / (angle.sigma**2 + BUILT_RAD**2) <= chdtri(1, _SIGNIFICANCE))
+    return bool(angle.value**2 / (angle.sigma**2 + BUILT_RAD**2) <= chdtri(1, 1e-3))
 
 
 def without(spans: list[Interval], taken: list[Interval]) -> list[Interval]:

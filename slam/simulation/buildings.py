@@ -128,20 +128,18 @@ def _add_room(builder: WorldBuilder, wall: Wall, feature: Feature, floor: int) -
 
 #: Measured by hand in the paper, m.
 WIDTH_M, HEIGHT_M = 2.268, 2.700
-#: The corridor begins this far behind the robot's start and ends this far beyond the end of its way, m.
-BEHIND_M, OUTLINE_GAP_SCALE_M = 2.0, 3.0
-#: The way of the paper's 1083 scans, m: shorter missions drive in the same corridor.
-SHORTEST_WAY_M = 29.3
-
 #: What stands along each wall, again and again: kind, gap before it, length along the wall, m.
 _LEFT = (("locker", 1.1, 3.0), ("door", 0.8, 0.95), ("board", 1.0, 1.5), ("door", 1.2, 0.95), ("closet", 0.7, 1.0))
 _RIGHT = (("door", 1.6, 0.95), ("board", 0.9, 1.2), ("chamber", 1.3, 0.95), ("locker", 0.8, 2.4), ("board", 1.0, 0.9))
 
 
 def corridor(way_m: float) -> World:
-    """The corridor along x for a robot that drives `way_m` from the origin, its axis at y = 0, the floor at z = 0."""
+    """The corridor along x for a robot that drives `way_m` from the origin, its axis at y = 0, the floor at z = 0.
+
+    It is never shorter than the way of the paper's 1083 scans needs, 29.3 m.
+    """
     builder = WorldBuilder()
-    start, end = -BEHIND_M, max(way_m, SHORTEST_WAY_M) + OUTLINE_GAP_SCALE_M
+    start, end = -2.0, max(way_m, 29.3) + 3.0
     half, length = WIDTH_M / 2.0, end - start
     inside = (0.0, 0.0, HEIGHT_M / 2.0)
     floor = builder.add_patch((start, -half, 0.0), (length, 0, 0), (0, WIDTH_M, 0), toward=inside)

@@ -23,8 +23,6 @@ from spplanes.plane import Plane
 from spplanes.registration import beam_directions
 
 _TRAJECTORY, _PLANES, _LABELS = "trajectory.tum", "planes.json", "labels.npz"
-#: A plane is there to be found when the sensors hit it more often than this.
-ENOUGH_POINTS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +52,12 @@ class Truth:
         return self.world_T_body[places]
 
     def visible_in_3d(self) -> set[int]:
-        """Indices of the planes that one of the sensors that give 3D points hit often enough: a level laser alone sees
-        lines, not planes."""
+        """Indices of the planes that one of the sensors that give 3D points hit more than 200 times.
+
+        These are there to be found: a level laser alone sees lines, not planes.
+        """
         seen = [labels[labels >= 0] for name, labels in self.labels.items() if name != HORIZONTAL]
-        return {plane for hit in seen for plane in np.flatnonzero(np.bincount(hit) > ENOUGH_POINTS).tolist()}
+        return {plane for hit in seen for plane in np.flatnonzero(np.bincount(hit) > 200).tolist()}
 
     def write(self, folder: Path) -> None:
         """Write trajectory.tum, planes.json (spplanes/1; the id is the label) and labels.npz into a folder."""
@@ -126,8 +126,6 @@ def localised_poses(
 
 #: Time of the first scan, and speed of the robot.
 START_NS, SPEED_M_PER_S = 1_000_000_000_000, 0.5
-#: A horizontal scan is taken after every so many vertical ones, half a period late.
-HORIZONTAL_EVERY = 4
 #: Directions of so many beams are held in memory at a time.
 BLOCK_BEAMS = 1_000_000
 
@@ -174,7 +172,7 @@ def record(plan: Plan, n_scans: int, seed: int) -> tuple[Log, Truth]:
     for (sensor, beams), rng in zip(BEAMS.items(), lasers, strict=True):
         if sensor not in plan.rig.sensors:
             continue
-        at = ticks[1 :: 2 * HORIZONTAL_EVERY] if sensor == HORIZONTAL else ticks[::2]
+        at = ticks[1::8] if sensor == HORIZONTAL else ticks[::2]
         described = plan.rig.sensors[sensor]
         ranges, hit = _cast(plan, way[at], described, beams, rng.spawn(1)[0])
         read = noisy_ranges(ranges, described, rng)

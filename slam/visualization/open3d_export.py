@@ -26,12 +26,8 @@ from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_
 
 ColourBy = Literal["plane", "sigma"]
 
-#: Grey for points that belong to no plane, RGB in 0..1.
-_NO_PLANE_RGB = (0.6, 0.6, 0.6)
 #: Corners of a drawn ellipse.
 _ELLIPSE_CORNERS = 48
-#: Hues follow each other by the golden ratio: neighbours in a list are far apart in colour.
-_GOLDEN_RATIO = 0.6180339887498949
 
 
 def planes_to_mesh(
@@ -193,9 +189,9 @@ def label_colours(labels: np.ndarray) -> FloatArray:
     """One colour per label, shape (N, 3), RGB in 0..1, the same for equal labels in every call; grey where negative."""
     from matplotlib.colors import hsv_to_rgb
 
-    hues = labels * _GOLDEN_RATIO % 1.0
+    hues = labels * 0.6180339887498949 % 1.0  # by the golden ratio: neighbours in a list are far apart in colour
     colours = hsv_to_rgb(np.column_stack((hues, np.full(len(labels), 0.75), np.full(len(labels), 0.9))))
-    return np.where((labels < 0)[:, None], _NO_PLANE_RGB, colours)
+    return np.where((labels < 0)[:, None], 0.6, colours)
 
 
 def _as_map_planes(given: Any) -> list[MapPlane]:

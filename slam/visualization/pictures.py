@@ -26,14 +26,13 @@ from slam.runs.history import History
 from slam.visualization.mesh import colour_of
 from spplanes._check import FloatArray
 
-#: Planes seen more edge-on than this (cosine) are as thin as the stroke round them, which is then a strong one.
-_EDGE_ON_COSINE = 0.1
-_THIN, _STRONG = 0.5, 2.2
+#: Width of strokes that stand for a plane, points.
+_STRONG = 2.2
 #: Half the width of slits that pictures do not show, m.
 _SLIT_M = 0.05
 _VIEWS = {"plan": (0, 1), "side": (0, 2)}
-#: Width of a picture, and least and greatest height of one view in it, inches.
-WIDTH, _LOW, _HIGH = 11.0, 1.8, 9.0
+#: Width of a picture, inches.
+WIDTH = 11.0
 #: What its title and axes take beside one view, inches.
 FRAME = 1.2
 
@@ -120,7 +119,7 @@ def view_height(run: Drawn, view: str) -> float:
     parts = [lift(shapely.get_coordinates(plane.seen), plane.plane.frame) for plane in run.planes]
     points = np.concatenate([run.trajectory.poses[:, :3, 3], *parts, np.zeros((1, 3))])[:, sheet]
     wide, tall = np.ptp(points, axis=0)
-    return float(np.clip(WIDTH * tall / max(wide, 1e-9), _LOW, _HIGH))
+    return float(np.clip(WIDTH * tall / max(wide, 1e-9), 1.8, 9.0))
 
 
 def title_of(run: Drawn) -> str:
@@ -146,7 +145,8 @@ def without_slits(seen: BaseGeometry) -> BaseGeometry:
 def _draw_plane(axes: Any, plane: MapPlane, sheet: tuple[int, int], out_of_sheet: int, colour: FloatArray) -> None:
     seen, frame = without_slits(plane.seen), plane.plane.frame
     polygons = [shapely.orient_polygons(polygon) for polygon in polygons_of(seen)]
-    width = _THIN if abs(plane.plane.normal[out_of_sheet]) > _EDGE_ON_COSINE else _STRONG
+    # what is seen edge-on is as thin as the stroke round it
+    width = 0.5 if abs(plane.plane.normal[out_of_sheet]) > 0.1 else _STRONG
     outlines = [_outline(polygon, frame, sheet) for polygon in polygons]
     axes.add_collection(PathCollection(outlines, facecolors=[(*colour, 0.2)], edgecolors=[colour], linewidths=width))
     edges = [lift(chain, frame)[:, sheet] for chain in segments_of(seen)]
@@ -164,8 +164,6 @@ mpl.rcParams["svg.hashsalt"] = "spplanes"
 
 #: Probability inside an ellipse.
 CONFIDENCE = 0.95
-#: The largest ellipse should be this share of the picture's width.
-_LARGEST_SHARE = 0.04
 
 
 def draw_uncertainty(run: Drawn, history: History, path: Path) -> None:
@@ -208,7 +206,8 @@ def _draw_ellipses(axes: Any, run: Drawn, history: History) -> str:
     diameters = 2.0 * np.sqrt(np.maximum(values, 0.0) * 2.0 * gammaincinv(0.5 * 2, CONFIDENCE))
     largest = float(diameters.max())
     width = float(np.ptp(axes.get_xlim()))
-    factor = 10.0 ** max(np.floor(np.log10(_LARGEST_SHARE * width / largest)), 0.0) if largest > 0.0 else 1.0
+    # the largest should be some 4 % of the picture's width
+    factor = 10.0 ** max(np.floor(np.log10(0.04 * width / largest)), 0.0) if largest > 0.0 else 1.0
     angles = np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
     sizes = factor * diameters[:, 1], factor * diameters[:, 0], angles
     at: dict[str, Any] = {"units": "xy", "offsets": places[:, :2], "transOffset": axes.transData}

@@ -94,14 +94,6 @@ def _asset(name: str) -> str:
     return (files("slam.visualization") / "viewer" / name).read_text(encoding="utf-8")
 
 
-#: Coordinates are rounded to this many decimals, m: far below what one sees.
-_DECIMALS = 4
-#: Poses and single measurements that are drawn at most.
-_MOST_POSES, _MOST_DOTS = 5000, 1500
-#: Blocks that a chart of NIS has at most, and measurements that a block has at least.
-_MOST_BLOCKS, _LEAST_IN_BLOCK = 60, 20
-
-
 def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict[str, Any]:
     """Everything the page's script needs, as plain numbers, strings and lists; `doubtful` keyframes as stretches."""
     planes = [_plane(plane) for plane in run.planes if not plane.seen.is_empty]
@@ -119,8 +111,11 @@ def scene_of(run: Drawn, history: History, doubtful: Sequence[int] = ()) -> dict
 
 
 def nis_blocks(rows: Sequence[tuple[int, float, int]]) -> list[dict[str, float]]:
-    """Mean NIS per degree of freedom of consecutive measurements, with the 95 % band of each block's own size."""
-    size = max(_LEAST_IN_BLOCK, -(-len(rows) // _MOST_BLOCKS))
+    """Mean NIS per degree of freedom of consecutive measurements, with the 95 % band of each block's own size.
+
+    There are at most 60 blocks, of at least 20 measurements each.
+    """
+    size = max(20, -(-len(rows) // 60))
     count = max(len(rows) // size, 1)
     blocks = []
     for chosen in np.array_split(np.arange(len(rows)), count):
@@ -134,7 +129,7 @@ def _series(kind: str, rows: Sequence[tuple[int, float, int]]) -> dict[str, Any]
     rows = sorted(rows, key=lambda row: row[0])
     blocks = nis_blocks(rows)
     inside = sum(block["low"] <= block["mean"] <= block["high"] for block in blocks)
-    every = -(-len(rows) // _MOST_DOTS)
+    every = -(-len(rows) // 1500)  # so many dots are drawn at most
     # few measurements make one block: over keyframes it would be one dot, so they are spread one by one
     one_by_one = len(blocks) == 1
     if one_by_one:
@@ -190,12 +185,12 @@ def _inside(seen: BaseGeometry) -> Point:
 
 
 def _path(trajectory: Trajectory) -> list[list[float]]:
-    every = -(-len(trajectory) // _MOST_POSES) or 1
+    every = -(-len(trajectory) // 5000) or 1
     return _rounded(trajectory.poses[::every, :3, 3])
 
 
 def _rounded(points: FloatArray) -> list[list[float]]:
-    return np.round(points, _DECIMALS).tolist()
+    return np.round(points, 4).tolist()  # far below what one sees
 
 
 def _bounds(planes: Sequence[dict[str, Any]], path: list[list[float]]) -> list[list[float]]:

@@ -16,10 +16,6 @@ from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import chains_of, colour_of, mesh_of
 from slam.visualization.pictures import CONFIDENCE, position_covariances
 
-#: Timelines: number of the keyframe, and its time in the log.
-KEYFRAME, STAMP = "keyframe", "stamp"
-_BLACK, _RED, _BLUE = (20, 20, 20), (197, 48, 48), (43, 108, 176)
-
 
 def write_rerun(run: StoredRun, path: Path | str) -> None:
     """Write a run as a .rrd file for the Rerun viewer.
@@ -32,15 +28,16 @@ def write_rerun(run: StoredRun, path: Path | str) -> None:
     recording = rr.RecordingStream("spplanes", recording_id=run.folder.resolve().name or "run")
 
     def set_time(keyframe: int) -> None:
-        recording.set_time(KEYFRAME, sequence=keyframe)
+        recording.set_time("keyframe", sequence=keyframe)
         if keyframe < len(run.trajectory):
-            recording.set_time(STAMP, duration=np.timedelta64(int(run.trajectory.stamps_ns[keyframe]), "ns"))
+            recording.set_time("stamp", duration=np.timedelta64(int(run.trajectory.stamps_ns[keyframe]), "ns"))
 
     recording.save(str(path))
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for plane in run.planes:
         _log_plane(rr, recording, plane)
-    for name, trajectory, colour in (("trajectory", run.trajectory, _BLACK), ("odometry", run.odometry, _RED)):
+    black, red = (20, 20, 20), (197, 48, 48)
+    for name, trajectory, colour in (("trajectory", run.trajectory, black), ("odometry", run.odometry, red)):
         if len(trajectory):
             strip = rr.LineStrips3D([trajectory.poses[:, :3, 3]], colors=[colour])
             recording.log(name, strip, static=True)
@@ -84,5 +81,6 @@ def _log_confidence(rr: Any, recording: Any, run: StoredRun) -> None:
     vectors[np.linalg.det(vectors) < 0.0, :, 0] *= -1.0
     half = np.sqrt(np.maximum(values, 0.0) * 2.0 * gammaincinv(0.5 * 3, CONFIDENCE))
     turns = [rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat()) for axes in vectors]
-    ellipsoids = rr.Ellipsoids3D(centers=places, half_sizes=half, quaternions=turns, colors=[_BLUE] * len(places))
+    blue = [(43, 108, 176)] * len(places)
+    ellipsoids = rr.Ellipsoids3D(centers=places, half_sizes=half, quaternions=turns, colors=blue)
     recording.log("confidence", ellipsoids, static=True)
