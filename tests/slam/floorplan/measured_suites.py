@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,13 +17,11 @@ from slam.geometry.frames import inverse, settle_frame
 from slam.planeslam import PlaneSlam
 from slam.sensors.rig import Rig
 from slam.simulation.record import Plan, Truth, record
-from slam.simulation.robots import SPINNING, spinning_rig
+from slam.simulation.robots import spinning_rig
 from spplanes import Plane
 from spplanes._check import FloatArray
-from tests.slam.scenes import run_of
+from tests.slam.scenes import run_of, with_sensors
 
-#: What is measured of a suite.
-KINDS = ("width", "area", "height", "thickness", "opening")
 #: An observation is of a true plane within this distance of its centre and cosine of the angle to it, m.
 _NEAR_M, _ALIKE = 0.05, np.cos(0.05)
 #: Eigenvalues of a joint covariance below this share of the largest are of differences that are zero by construction:
@@ -45,9 +44,8 @@ class Measured:
     @classmethod
     def of(cls, seed: int, *, range_sigma_m: float = 0.005, spacing_m: float = 0.6, rooms_a_side: int = 2) -> Measured:
         """Drive through a suite of one's own."""
-        suite, rig = Suite.drawn(np.random.default_rng(seed), rooms_a_side=rooms_a_side), spinning_rig()
-        sensor = rig.sensors[SPINNING].model_copy(update={"range_sigma_m": range_sigma_m})
-        rig = rig.model_copy(update={"sensors": {SPINNING: sensor}})
+        suite = Suite.drawn(np.random.default_rng(seed), rooms_a_side=rooms_a_side)
+        rig = with_sensors(spinning_rig(), range_sigma_m=range_sigma_m)
         plan = Plan("suite", suite.world(), suite.path(), rig, spacing_m)
         log, truth = record(plan, int(plan.path.length_m / spacing_m) + 1, seed)
         return cls(suite, rig, list(keyframes_of(log, rig, SlamConfig())), truth, seed)
@@ -94,7 +92,7 @@ def plan_of(slam: PlaneSlam) -> FloorPlan:
 def pairs_of(suite: Suite, plan: FloorPlan) -> dict[str, Pairs]:
     """Everything measured beside its truth, by kind; rooms are told by where their middle is."""
     (storey,) = plan.storeys
-    found: dict[str, Pairs] = {kind: [] for kind in KINDS}
+    found: dict[str, Pairs] = defaultdict(list)
     for room in storey.rooms:
         true = suite.room_at(room.middle[0] + START_M, room.middle[1])
         found["area"].append((room.area, true.area_m2))

@@ -15,7 +15,7 @@ from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_r
 from slam.simulation.record import drifting_odometry, localised_poses, noisy_ranges, relative_motions
 from spplanes.registration import beam_directions
 from tests.slam.beams import beam_errors
-from tests.slam.scenes import assert_same_events
+from tests.slam.scenes import assert_same_events, with_sensors
 from tests.statistics import assert_mean_in_band, nees
 
 
@@ -194,15 +194,10 @@ def test_what_is_not_known_and_arcs_that_do_not_fit_are_refused(mission, tmp_pat
         Path.rounded([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], 1.5)
 
 
-def with_sensor(name, **changes):
-    rig = paper_rig()
-    return rig.model_copy(update={"sensors": {name: rig.sensors[name].model_copy(update=changes)}})
-
-
 def test_bearing_noise_is_what_the_rig_says():
     """On a wall at distance d seen under an angle, a bearing error e moves the range by r tan(incidence) e."""
     sigma = 0.002
-    rig = with_sensor(HORIZONTAL, bearing_sigma_rad=sigma, range_sigma_m=1e-9)
+    rig = with_sensors(paper_rig(), bearing_sigma_rad=sigma, range_sigma_m=1e-9)
     seen = beam_errors(simulate_mission("room", n_scans=200, rig=rig), HORIZONTAL)
     errors, cosine = seen.range_m, seen.cosine
     expected = np.linalg.norm(seen.points, axis=1) * np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine * sigma
@@ -211,7 +206,7 @@ def test_bearing_noise_is_what_the_rig_says():
 
 
 def test_a_sweep_gives_each_beam_its_own_place():
-    rig = with_sensor(HORIZONTAL, range_sigma_m=1e-9, sweep_s=0.2)
+    rig = with_sensors(paper_rig(), range_sigma_m=1e-9, sweep_s=0.2)
     mission = simulate_mission("room", n_scans=40, rig=rig)
     sensor, arrays, truth = rig.sensors[HORIZONTAL], mission.arrays(HORIZONTAL), mission.truth
     times = sensor.beam_times_ns(5, 720)
@@ -227,6 +222,6 @@ def test_a_sweep_gives_each_beam_its_own_place():
 
 
 def test_a_beam_without_return_has_no_label():
-    arrays = simulate_mission("corridor", n_scans=60, rig=with_sensor(VERTICAL, range_max_m=2.0)).arrays(VERTICAL)
+    arrays = simulate_mission("corridor", n_scans=60, rig=with_sensors(paper_rig(), range_max_m=2.0)).arrays(VERTICAL)
     lost = np.isnan(arrays.ranges)
     assert 0.1 < lost.mean() < 0.9 and (arrays.labels[lost] == -1).all() and np.nanmax(arrays.ranges) < 2.0

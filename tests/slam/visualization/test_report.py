@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from slam.visualization.report import nis_blocks, scene_of, write_report
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.visualization.browser import Browser
-from tests.slam.visualization.test_open3d_export import WINDOW, wall
+from tests.slam.visualization.test_open3d_export import wall
 
 EVIL = "</script><script>window.pwned = 1</script><img src=x onerror='window.pwned = 2'>"
 #: A pixel of a red dot: pictures are embedded as they are.
@@ -29,15 +30,6 @@ PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108020000009077"
     "53de0000000c4944415408d763f8cfc000000301010018dd8db00000000049454e44ae426082"
 )
-
-
-def flat(number: int, x: float, *, normal_up: bool = True) -> MapPlane:
-    """A square of 2 m across the x axis, its side towards +x, or away from it."""
-    frame, sign = np.eye(4), 1.0 if normal_up else -1.0
-    frame[:3, :3] = np.column_stack(([0.0, sign, 0.0], [0.0, 0.0, 1.0], [sign, 0.0, 0.0]))
-    frame[0, 3] = x
-    outline = box(-1, -1, 1, 1)
-    return MapPlane(number, Plane(frame, np.diag([4e-6, 1e-6, 1e-6]), 10, outline), outline, 2, ("plane",))
 
 
 def moving(count: int, y: float) -> Trajectory:
@@ -48,12 +40,16 @@ def moving(count: int, y: float) -> Trajectory:
 
 def stored() -> StoredRun:
     """A wall with a window, a square behind another, a line, two paths, and names that try to get out."""
-    line = wall(8, LineString([(0, 2), (3, 2)]), transform_from_rpy((0.0, -3.0, 1.0, 0.0, np.pi / 2, 0.0)))
-    planes = [wall(), line, flat(1, 6.0), flat(2, 5.0), MapPlane(3, wall().plane, WINDOW, 1, (EVIL,))]
+    upright = transform_from_rpy((0.0, -3.0, 1.0, 0.0, np.pi / 2, 0.0))
+    line = replace(wall(8, LineString([(0, 2), (3, 2)]), upright), kinds=(EVIL,))
+    across = (transform_from_rpy((x, 0.0, 0.0, 0.0, np.pi / 2, 0.0)) for x in (6.0, 5.0))
+    squares = [wall(number, box(-1, -1, 1, 1), frame) for number, frame in enumerate(across, 1)]
     nis = {EVIL: [(k, 3.0, 3) for k in range(30)], "plane": [(k // 3, 2.0 + (k % 5), 3) for k in range(90)]}
     tables = [("the run", [Metric(EVIL, float("nan"), EVIL), Metric("planes", 3, "")])]
     points = wall().plane.frame[:3, 3] + np.random.default_rng(0).normal(0.0, 0.5, (2000, 3))
-    return StoredRun(Path(), planes[:4], moving(30, 0.0), moving(30, 0.5), History(nis=nis, points=points), tables)
+    return StoredRun(
+        Path(), [wall(), line, *squares], moving(30, 0.0), moving(30, 0.5), History(nis=nis, points=points), tables
+    )
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from slam.sensors.rig import Mount, Rig
 from slam.session.prior_map import PriorMap, floor_start, map_covariance
 from slam.simulation import simulate_mission
 from spplanes import Plane
-from tests.slam.scenes import drive, measured, room_planes, run_of
+from tests.slam.scenes import drive, measured, room_planes, run_of, with_sensors
 
 
 @cache
@@ -29,11 +29,9 @@ def hall(seed: int = 3) -> tuple[Log, Rig]:
 
 
 def turned(rig: Rig) -> Rig:
-    """The rig with every sensor backwards."""
-    turn, sensors = Mount(rpy_deg=(0.0, 0.0, 180.0)).as_matrix(), {}
-    for name, one in rig.sensors.items():
-        sensors[name] = one.model_copy(update={"mount": Mount.of(one.body_T_sensor @ turn)})
-    return rig.model_copy(update={"sensors": sensors})
+    """The rig with its sensor backwards."""
+    (sensor,) = rig.sensors.values()
+    return with_sensors(rig, mount=Mount.of(sensor.body_T_sensor @ Mount(rpy_deg=(0.0, 0.0, 180.0)).as_matrix()))
 
 
 @pytest.fixture(scope="module")
