@@ -41,8 +41,8 @@
   const FOCAL = 1.6, NEAR = 0.02;
   const view = { yaw: -2.2, pitch: 0.75, distance: 0, target: middle, colour: "side", hovered: null, drawn: [] };
 
-  const landmarks = [...scene.planes.flatMap((plane) => [...plane.faces.flat(2), ...plane.segments.flat()]),
-    ...scene.estimate];
+  const corners = scene.planes.map((plane) => [...plane.faces.flat(2), ...plane.segments.flat()]);
+  const landmarks = [...corners.flat(), ...scene.estimate];
 
   function look(yaw, pitch) {
     // from this side, as near as the whole map allows
@@ -106,7 +106,6 @@
 
   // --- the order in which planes are painted --------------------------------------------------------------------------
 
-  const corners = scene.planes.map((plane) => [...plane.faces.flat(2), ...plane.segments.flat()]);
   const MARGIN = 0.05;  // walls and floor reach a little past the edge in which they meet, m
 
   function sideOf(i, j) {
@@ -156,15 +155,18 @@
     requestAnimationFrame(() => { queued = false; draw(); });
   }
 
+  function sharp(board) {
+    // an empty canvas with the pixels of the device, drawn on in those of the page
+    const ratio = window.devicePixelRatio || 1, [width, height] = [board.clientWidth, board.clientHeight];
+    board.width = Math.round(width * ratio);
+    board.height = Math.round(height * ratio);
+    const pen = board.getContext("2d");
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    return { pen, width, height };
+  }
+
   function draw() {
-    const ratio = window.devicePixelRatio || 1;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
-    }
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, width, height);
+    sharp(canvas);
     const eye = camera();
     view.drawn = [];
     if (byId("show-planes").checked) drawPlanes(eye);
@@ -172,7 +174,7 @@
     if (byId("show-odometry")?.checked) drawPath(scene.odometry, eye, "#c53030", 1.5, [6, 4]);
     if (byId("show-estimate").checked) drawPath(scene.estimate, eye, "#111111", 2, []);
     if (byId("show-estimate").checked) drawDoubtful(eye, "#dd6b20");
-    drawTriad(eye);
+    drawTriad();
   }
 
   function drawPlanes(eye) {
@@ -210,26 +212,28 @@
     view.drawn.push({ i, faces: filled ? faces : null, lines });
   }
 
-  function drawDots(points, eye, colour) {
+  function drawDot(point, eye, colour, size) {
+    const place = eye.toCamera(point);
+    if (place[2] < NEAR) return;
     context.fillStyle = colour;
-    for (const point of points) {
-      const place = eye.toCamera(point);
-      if (place[2] < NEAR) continue;
-      context.beginPath();
-      context.arc(...eye.toScreen(place), 4, 0, 2 * Math.PI);
-      context.fill();
-    }
+    context.beginPath();
+    context.arc(...eye.toScreen(place), size, 0, 2 * Math.PI);
+    context.fill();
+  }
+
+  function drawChain(points, eye, colour, width) {
+    const path = new Path2D();
+    trace(path, points, false, eye);
+    context.lineWidth = width;
+    context.strokeStyle = colour;
+    context.stroke(path);
   }
 
   function drawDoubtful(eye, colour) {
     // stretches of the way; a keyframe alone is a dot
-    drawDots(scene.doubtful.filter((part) => part.length === 1).map((part) => part[0]), eye, colour);
-    context.strokeStyle = colour;
-    context.lineWidth = 5;
     for (const part of scene.doubtful) {
-      const path = new Path2D();
-      trace(path, part, false, eye);
-      context.stroke(path);
+      if (part.length === 1) drawDot(part[0], eye, colour, 4);
+      else drawChain(part, eye, colour, 5);
     }
   }
 
@@ -246,19 +250,10 @@
 
   function drawPath(points, eye, colour, width, dashes) {
     if (!points.length) return;
-    const path = new Path2D();
-    trace(path, points, false, eye);
     context.setLineDash(dashes);
-    context.lineWidth = width;
-    context.strokeStyle = colour;
-    context.stroke(path);
+    drawChain(points, eye, colour, width);
     context.setLineDash([]);
-    const start = eye.toCamera(points[0]);
-    if (start[2] < NEAR) return;
-    context.fillStyle = colour;
-    context.beginPath();
-    context.arc(...eye.toScreen(start), 3.5, 0, 2 * Math.PI);
-    context.fill();
+    drawDot(points[0], eye, colour, 3.5);
   }
 
   function drawTriad() {
@@ -428,11 +423,7 @@
   }
 
   function paintChart(plot, series) {
-    const ratio = window.devicePixelRatio || 1, [width, height] = [plot.clientWidth, plot.clientHeight];
-    plot.width = Math.round(width * ratio);
-    plot.height = Math.round(height * ratio);
-    const pen = plot.getContext("2d");
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const { pen, width, height } = sharp(plot);
     const last = series.last ?? Math.max(1, scene.keyframes - 1);
     const most = 1.15 * Math.max(2, ...series.blocks.map((block) => Math.max(block.mean, block.high)));
     const x = (keyframe) => 46 + (width - 60) * keyframe / last;
