@@ -26,9 +26,6 @@ from spplanes._check import FloatArray, as_covariance_stack, as_float_array, as_
 
 ColourBy = Literal["plane", "sigma"]
 
-#: Corners of a drawn ellipse.
-_ELLIPSE_CORNERS = 48
-
 
 def planes_to_mesh(
     planes: Sequence[MapPlane | Plane] | MapPlane | Plane | Any,
@@ -80,11 +77,8 @@ def outlines_to_lines(planes: Sequence[MapPlane | Plane], *, tensor: bool = Fals
     Planes and errors are as of `planes_to_mesh`; ``tensor``: ``open3d.t.geometry.LineSet``.
     """
     drawn = [(plane, chain) for plane in _as_map_planes(planes) for chain in chains_of(plane)]
-    counts = np.array([len(chain) - 1 for _, chain in drawn], dtype=np.int64)
-    ids = np.array([plane.id for plane, _ in drawn], dtype=np.int32)
-    colours = np.array([colour_of(plane) for plane, _ in drawn]).reshape(-1, 3) / 255.0
-    rows = np.repeat(np.arange(len(drawn)), counts)
-    return _line_set([chain for _, chain in drawn], colours[rows], ids[rows], tensor)
+    colours = np.array([colour_of(plane) for plane, _ in drawn]) / 255.0
+    return _line_set([chain for _, chain in drawn], colours, [plane.id for plane, _ in drawn], tensor)
 
 
 def trajectory_to_lines(
@@ -99,8 +93,7 @@ def trajectory_to_lines(
     (N, 3), or a sequence of ``gtsam.Pose3``. ValueError: something else.
     """
     positions = _positions_of(getattr(trajectory, "trajectory", trajectory))
-    colours = np.tile(np.asarray(rgb, dtype=np.float64), (max(len(positions) - 1, 0), 1))
-    return _line_set([positions], colours, None, tensor)
+    return _line_set([positions], [rgb], None, tensor)
 
 
 def ellipsoids_to_lines(
@@ -134,15 +127,14 @@ def ellipsoids_to_lines(
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence: expected a probability between 0 and 1, got {confidence}")
     reach = as_positive("scale", scale) * np.sqrt(2.0 * gammaincinv(0.5 * 3, confidence))
-    turns = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_CORNERS + 1)
+    turns = np.linspace(0.0, 2.0 * np.pi, 49)
     circle = np.column_stack((np.zeros_like(turns), np.cos(turns), np.sin(turns)))
     circles = np.stack([np.roll(circle, axis, axis=1) for axis in range(3)])  # round each axis
     chains = []
     for centre, values, vectors in zip(points, *np.linalg.eigh(matrices), strict=True):
         axes = reach * np.sqrt(np.maximum(values, 0.0)) * vectors
         chains += list(circles @ axes.T + centre)
-    ids = np.repeat(np.arange(len(points), dtype=np.int32), 3 * _ELLIPSE_CORNERS)
-    return _line_set(chains, np.tile(np.asarray(rgb, dtype=np.float64), (len(ids), 1)), ids, tensor)
+    return _line_set(chains, [rgb] * len(chains), np.repeat(np.arange(len(points)), 3), tensor)
 
 
 def points_to_cloud(points: ArrayLike, labels: ArrayLike | None = None, *, tensor: bool = False) -> Any:
@@ -242,8 +234,8 @@ def _rectangle_of(plane: Plane) -> Polygon:
     return box(-x, -y, x, y)
 
 
-def _line_set(chains: Sequence[FloatArray], colours: FloatArray, ids: np.ndarray | None, tensor: bool) -> Any:
-    """Chains of corners (N, 3) as a line set, a colour and an id per line."""
+def _line_set(chains: Sequence[FloatArray], colours: ArrayLike, ids: ArrayLike | None, tensor: bool) -> Any:
+    """Chains of corners (N, 3) as a line set; the lines of each have its colour and its id."""
     o3d = _open3d()
     points = np.concatenate([np.empty((0, 3)), *chains])
     starts = np.cumsum([0, *(len(chain) for chain in chains)])
@@ -251,9 +243,10 @@ def _line_set(chains: Sequence[FloatArray], colours: FloatArray, ids: np.ndarray
     lines = np.concatenate([np.empty((0, 2), dtype=np.int32), *pairs]).astype(np.int32)
     result = o3d.t.geometry.LineSet()
     result.point.positions, result.line.indices = _tensor(points), _tensor(lines)
-    result.line.colors = _colours(colours, tensor)
+    of_line = np.repeat(np.arange(len(chains)), [max(len(chain) - 1, 0) for chain in chains])
+    result.line.colors = _colours(np.asarray(colours, dtype=np.float64).reshape(-1, 3)[of_line], tensor)
     if ids is not None:
-        result.line["plane"] = _tensor(ids[:, None])
+        result.line["plane"] = _tensor(np.asarray(ids, dtype=np.int32)[of_line, None])
     return result if tensor else result.to_legacy()
 
 
