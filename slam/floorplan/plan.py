@@ -19,25 +19,20 @@ from spplanes._check import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """A side of a room: a wall face from corner to corner."""
+    """A side of a room: a wall face from corner to corner, the room on the left; corners (3,), m."""
 
     face: Face
     start: FloatArray
-    """Its first corner, the room on the left, shape (3,), m."""
     end: FloatArray
-    """Its last corner, shape (3,), m."""
     length: Quantity
-    """From corner to corner, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Width:
-    """How far two sides of a room that face each other are apart in its middle."""
+    """How far two sides of a room that face each other are apart in its middle, from a point (3,) to another one, m."""
 
     first: FloatArray
-    """Where it is taken on one side, shape (3,), m."""
     second: FloatArray
-    """Where on the other, shape (3,), m."""
     distance: Quantity
 
 

@@ -52,12 +52,10 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class Corner:
-    """A point with its derivatives."""
+    """A point (3,), m, with its derivatives (P, 3, 4) by (normal, d) of every plane."""
 
     point: FloatArray
-    """Shape (3,), m."""
     by: FloatArray
-    """Derivatives by (normal, d) of every plane, shape (P, 3, 4)."""
 
 
 def corner(hesse: FloatArray, first: int, second: int, section: Section) -> Corner:

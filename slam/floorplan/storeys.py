@@ -38,7 +38,6 @@ class Storey:
 
     joint: JointPlanes
     section: Section
-    """The plane that its plan is cut by."""
     plan: FloatArray
     """x and y axis of the plan, columns, shape (3, 2)."""
     floor_height: float

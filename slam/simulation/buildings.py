@@ -13,16 +13,10 @@ from slam.simulation.robots import Path
 from slam.simulation.world import Hole, World, WorldBuilder
 
 DOOR_HEIGHT_M = 2.05
-#: How far a closed door is set back, and how thick the walls between corridors and rooms are, m.
-_DOOR_DEPTH_M, _WALL_THICKNESS_M = 0.12, 0.12
-#: Depth of the narrow closed chamber behind an open doorway, m.
-_CHAMBER_DEPTH_M = 2.5
-#: Width along the wall, depth and height of a room behind a doorway, m.
-_ROOM_WIDTH_M, _ROOM_DEPTH_M, _ROOM_HEIGHT_M = 4.0, 3.5, 2.5
 #: What stands or hangs against a wall: depth out of it, bottom, top, m.
 _BLOCKS = {"locker": (0.05, 0.0, 1.9), "closet": (0.40, 0.0, 2.1), "board": (0.02, 1.0, 2.0)}
-#: Openings in the wall.
-_OPENINGS = ("door", "chamber", "room")
+#: Openings in the wall: how deep the closed space is behind a doorway, m; None: there is a room.
+_OPENINGS = {"door": 0.12, "chamber": 2.5, "room": None}
 
 Point = tuple[float, float, float]
 Span = tuple[float, float]
@@ -78,10 +72,9 @@ def add_wall(builder: WorldBuilder, wall: Wall, features: Sequence[Feature], flo
     for feature in features:
         if feature.kind in _BLOCKS:
             _add_block(builder, wall, feature)
-        elif feature.kind == "room":
+        elif (depth := _OPENINGS[feature.kind]) is None:
             _add_room(builder, wall, feature, floor)
         else:
-            depth = _DOOR_DEPTH_M if feature.kind == "door" else _CHAMBER_DEPTH_M
             _add_cell(builder, wall, (feature.start_m, feature.end_m), (0.0, -depth), DOOR_HEIGHT_M, floor)
 
 
@@ -111,23 +104,21 @@ def _add_block(builder: WorldBuilder, wall: Wall, feature: Feature) -> None:
 
 
 def _add_room(builder: WorldBuilder, wall: Wall, feature: Feature, floor: int) -> None:
-    """An open doorway and a room behind it with a cupboard and a round pillar."""
-    door = feature.start_m, feature.end_m
-    near, far = -_WALL_THICKNESS_M, -_WALL_THICKNESS_M - _ROOM_DEPTH_M
+    """An open doorway in a wall of 0.12 m, and a room of 4 x 3.5 x 2.5 m with a cupboard and a round pillar."""
+    door, height = (feature.start_m, feature.end_m), 2.5
+    near, far = -0.12, -0.12 - 3.5
     _add_cell(builder, wall, door, (0.0, near), DOOR_HEIGHT_M, floor, closed=False)
     centre = (door[0] + door[1]) / 2.0
-    a, b = centre - _ROOM_WIDTH_M / 2.0, centre + _ROOM_WIDTH_M / 2.0
-    along, up = wall.across(b - a, 0.0, 0.0), (0.0, 0.0, _ROOM_HEIGHT_M)
+    a, b = centre - 2.0, centre + 2.0
+    along, up = wall.across(b - a, 0.0, 0.0), (0.0, 0.0, height)
     doorway: Hole = (door[0] - a, 0.0, door[1] - a, DOOR_HEIGHT_M)
     builder.add_patch(wall.point(a, near, 0.0), along, up, toward=wall.point(centre, far, 1.0), holes=[doorway])
-    _add_cell(builder, wall, (a, b), (near, far), _ROOM_HEIGHT_M, floor)
-    back_wall = Wall(wall.point(a, far, 0.0)[:2], wall.along, wall.inward, b - a, _ROOM_HEIGHT_M)
+    _add_cell(builder, wall, (a, b), (near, far), height, floor)
+    back_wall = Wall(wall.point(a, far, 0.0)[:2], wall.along, wall.inward, b - a, height)
     _add_block(builder, back_wall, Feature("closet", 0.6, 2.2))
-    builder.add_bar(back_wall.point(3.2, 0.8, 0.0), back_wall.point(3.2, 0.8, _ROOM_HEIGHT_M), 0.15)
+    builder.add_bar(back_wall.point(3.2, 0.8, 0.0), back_wall.point(3.2, 0.8, height), 0.15)
 
 
-#: Measured by hand in the paper, m.
-WIDTH_M, HEIGHT_M = 2.268, 2.700
 #: What stands along each wall, again and again: kind, gap before it, length along the wall, m.
 _LEFT = (("locker", 1.1, 3.0), ("door", 0.8, 0.95), ("board", 1.0, 1.5), ("door", 1.2, 0.95), ("closet", 0.7, 1.0))
 _RIGHT = (("door", 1.6, 0.95), ("board", 0.9, 1.2), ("chamber", 1.3, 0.95), ("locker", 0.8, 2.4), ("board", 1.0, 0.9))
@@ -139,34 +130,29 @@ def corridor(way_m: float) -> World:
     It is never shorter than the way of the paper's 1083 scans needs, 29.3 m.
     """
     builder = WorldBuilder()
+    width, height = 2.268, 2.700  # measured by hand in the paper, m
     start, end = -2.0, max(way_m, 29.3) + 3.0
-    half, length = WIDTH_M / 2.0, end - start
-    inside = (0.0, 0.0, HEIGHT_M / 2.0)
-    floor = builder.add_patch((start, -half, 0.0), (length, 0, 0), (0, WIDTH_M, 0), toward=inside)
-    builder.add_patch((start, -half, HEIGHT_M), (length, 0, 0), (0, WIDTH_M, 0), toward=inside)
+    half, length = width / 2.0, end - start
+    inside = (0.0, 0.0, height / 2.0)
+    floor = builder.add_patch((start, -half, 0.0), (length, 0, 0), (0, width, 0), toward=inside)
+    builder.add_patch((start, -half, height), (length, 0, 0), (0, width, 0), toward=inside)
     for side, pattern in ((1.0, _LEFT), (-1.0, _RIGHT)):
-        wall = Wall((start, side * half), (1.0, 0.0), (0.0, -side), length, HEIGHT_M)
+        wall = Wall((start, side * half), (1.0, 0.0), (0.0, -side), length, height)
         add_wall(builder, wall, features_along(length, pattern), floor)
     for x in (start, end):
-        builder.add_patch((x, -half, 0.0), (0, WIDTH_M, 0), (0, 0, HEIGHT_M), toward=inside)
+        builder.add_patch((x, -half, 0.0), (0, width, 0), (0, 0, height), toward=inside)
     for x in np.arange(start + 1.5, end - 1.5, 4.0).tolist():  # lamps, and round steel beams, just under the ceiling
-        builder.add_box((x, -0.12, HEIGHT_M - 0.10), (x + 1.3, 0.12, HEIGHT_M), hidden=["z+"])
-        builder.add_bar((x + 2.4, -half, HEIGHT_M - 0.25), (x + 2.4, half, HEIGHT_M - 0.25), 0.07)
+        builder.add_box((x, -0.12, height - 0.10), (x + 1.3, 0.12, height), hidden=["z+"])
+        builder.add_bar((x + 2.4, -half, height - 0.25), (x + 2.4, half, height - 0.25), 0.07)
     return builder.build()
 
 
-#: The room: length, width, height, and how much of two of its corners is cut off, m.
-ROOM_M, CUT_M = (8.0, 6.0, 2.6), 1.5
-#: The hall: length, width, height of its long walls and of its ridge, m.
-HALL_M, RIDGE_M = (30.0, 20.0, 6.0), 8.0
-
-
 def room() -> World:
-    """A closed room around the origin: eight walls, two of them slanted, a cupboard, a table leg, a round pillar."""
+    """A closed room around the origin, 8 x 6 m: walls, two corners cut off, a cupboard, a table leg, a round pillar."""
     builder = WorldBuilder()
-    x, y, height = ROOM_M[0] / 2.0, ROOM_M[1] / 2.0, ROOM_M[2]
+    x, y, height, cut = 4.0, 3.0, 2.6, 1.5
     middle, up = (0.0, 0.0, height / 2.0), (0.0, 0.0, height)
-    outline = [(-x, -y), (x - CUT_M, -y), (x, -y + CUT_M), (x, y), (-x + CUT_M, y), (-x, y - CUT_M)]
+    outline = [(-x, -y), (x - cut, -y), (x, -y + cut), (x, y), (-x + cut, y), (-x, y - cut)]
     for a, b in zip(outline, [*outline[1:], outline[0]], strict=True):
         builder.add_patch((*a, 0.0), (b[0] - a[0], b[1] - a[1], 0.0), up, toward=middle)
     for z in (0.0, height):
@@ -178,21 +164,21 @@ def room() -> World:
 
 
 def hall() -> World:
-    """A closed hall: long walls, gables, a roof of two slopes, two rows of square pillars, crates and round columns."""
+    """A closed hall, 30 x 20 m: gables, a roof of two slopes, two rows of square pillars, crates and round columns."""
     builder = WorldBuilder()
-    x, y, height = HALL_M[0] / 2.0, HALL_M[1] / 2.0, HALL_M[2]
+    x, y, height, ridge = 15.0, 10.0, 6.0, 8.0
     middle = (0.0, 0.0, height / 2.0)
     builder.add_patch((-x, -y, 0.0), (2.0 * x, 0, 0), (0, 2.0 * y, 0), toward=middle)
     for side in (-1.0, 1.0):
         builder.add_patch((-x, side * y, 0.0), (2.0 * x, 0, 0), (0, 0, height), toward=middle)
-        builder.add_patch((-x, side * y, height), (2.0 * x, 0, 0), (0, -side * y, RIDGE_M - height), toward=middle)
-        builder.add_patch((side * x, -y, 0.0), (0, 2.0 * y, 0), (0, 0, RIDGE_M), toward=middle)
+        builder.add_patch((-x, side * y, height), (2.0 * x, 0, 0), (0, -side * y, ridge - height), toward=middle)
+        builder.add_patch((side * x, -y, 0.0), (0, 2.0 * y, 0), (0, 0, ridge), toward=middle)
     for place in np.linspace(-10.0, 10.0, 5):
         for side in (-5.0, 5.0):
-            builder.add_box((place - 0.3, side - 0.3, 0.0), (place + 0.3, side + 0.3, RIDGE_M), hidden=["z-", "z+"])
+            builder.add_box((place - 0.3, side - 0.3, 0.0), (place + 0.3, side + 0.3, ridge), hidden=["z-", "z+"])
     for k, (a, b) in enumerate([(-12.0, -8.0), (-3.0, 8.0), (4.0, -8.5), (12.0, 7.0)]):
         builder.add_box((a, b, 0.0), (a + 1.5 + 0.3 * k, b + 1.2, 1.0 + 0.3 * k), hidden=["z-"])
-        builder.add_bar((a - 1.0, b, 0.0), (a - 1.0, b, RIDGE_M), 0.25)
+        builder.add_bar((a - 1.0, b, 0.0), (a - 1.0, b, ridge), 0.25)
     return builder.build()
 
 

@@ -104,8 +104,6 @@ def checked_rig(rig: Rig) -> Rig:
 
 #: Distance between the stored points of a path, m.
 _STEP_M = 0.005
-#: How far to the left a weaving path swings, and the way of a swing, m.
-_SWING_M, _WAVE_M = 0.06, 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +133,12 @@ class Path:
 
     @classmethod
     def weaving(cls, length_m: float) -> Path:
-        """Along x from the origin, heading 0 at the start, swinging to the left and back by `_SWING_M`."""
+        """Along x from the origin, heading 0 at the start, swinging 0.06 m to the left and back every 7 m."""
+        swing, wave = 0.06, 7.0
         x = np.arange(0.0, length_m + 1.0, _STEP_M)
-        phase = 2.0 * np.pi * x / _WAVE_M
-        path = cls.through(np.column_stack([x, _SWING_M * (1.0 - np.cos(phase)) / 2.0]))
-        path.poses[:, 2] = np.arctan(_SWING_M * np.pi / _WAVE_M * np.sin(phase))  # exactly 0 at the start
+        phase = 2.0 * np.pi * x / wave
+        path = cls.through(np.column_stack([x, swing * (1.0 - np.cos(phase)) / 2.0]))
+        path.poses[:, 2] = np.arctan(swing * np.pi / wave * np.sin(phase))  # exactly 0 at the start
         return path
 
     @classmethod
