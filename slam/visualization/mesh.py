@@ -68,11 +68,16 @@ def _triangle_corners(plane: MapPlane) -> FloatArray:
     return rings[:, :3].reshape(-1, 2)
 
 
+def rings_of(polygon: shapely.Polygon, frame: FloatArray) -> list[FloatArray]:
+    """Rings of a polygon in a plane's frame (4, 4), the outer one first, in the world, (N, 3) each, m."""
+    return [lift(shapely.get_coordinates(ring), frame) for ring in (polygon.exterior, *polygon.interiors)]
+
+
 def chains_of(plane: MapPlane) -> list[FloatArray]:
     """Rings of the polygons of a plane, and the lines where only lines were seen, in the world, (N, 3) each, m."""
-    rings = [ring for part in polygons_of(plane.seen) for ring in (part.exterior, *part.interiors)]
-    chains = [shapely.get_coordinates(ring) for ring in rings] + segments_of(plane.seen)
-    return [lift(chain, plane.plane.frame) for chain in chains]
+    frame = plane.plane.frame
+    rings = [ring for part in polygons_of(plane.seen) for ring in rings_of(part, frame)]
+    return rings + [lift(chain, frame) for chain in segments_of(plane.seen)]
 
 
 # Constants of the format, Khronos glTF 2.0 specification, sections 3.6, 4.4 and 5.1.

@@ -23,7 +23,7 @@ from slam.geometry.polygons import polygons_of, segments_of
 from slam.io.trajectories import Trajectory
 from slam.map.map_planes import MapPlane
 from slam.runs.history import History
-from slam.visualization.mesh import colour_of
+from slam.visualization.mesh import colour_of, rings_of
 from spplanes._check import FloatArray
 
 #: Width of strokes that stand for a plane, points.
@@ -61,15 +61,11 @@ def draw_map(run: Drawn, path: Path, doubtful: Sequence[int] = ()) -> None:
     Keyframes that are `doubtful` are marked on the trajectory.
     """
     views = ["plan", "side"] if any(plane.plane.outline is not None for plane in run.planes) else ["plan"]
-    _draw_views(run, views, 0.7 * len(views) + 0.3, path, doubtful)
+    draw_views(run, views, 0.7 * len(views) + 0.3, path, doubtful)
 
 
-def draw_one(run: Drawn, view: str, path: Path, doubtful: Sequence[int] = ()) -> None:
-    """One view, "plan" or "side", into a PNG of its own, keyframes that are `doubtful` marked."""
-    _draw_views(run, [view], FRAME, path, doubtful)
-
-
-def _draw_views(run: Drawn, views: Sequence[str], frame: float, path: Path, doubtful: Sequence[int]) -> None:
+def draw_views(run: Drawn, views: Sequence[str], frame: float, path: Path, doubtful: Sequence[int]) -> None:
+    """Views, "plan" or "side", one below the other, and so many inches beside them, as `draw_map`."""
     heights = [view_height(run, view) for view in views]
     figure = Figure(figsize=(WIDTH, sum(heights) + frame), layout="constrained")
     axes = figure.subplots(len(views), 1, height_ratios=heights, squeeze=False)[:, 0]
@@ -147,16 +143,11 @@ def _draw_plane(axes: Any, plane: MapPlane, sheet: tuple[int, int], out_of_sheet
     polygons = [shapely.orient_polygons(polygon) for polygon in polygons_of(seen)]
     # what is seen edge-on is as thin as the stroke round it
     width = 0.5 if abs(plane.plane.normal[out_of_sheet]) > 0.1 else _STRONG
-    outlines = [_outline(polygon, frame, sheet) for polygon in polygons]
+    rings = [[Outline(ring[:, sheet], closed=True) for ring in rings_of(polygon, frame)] for polygon in polygons]
+    outlines = [Outline.make_compound_path(*around) for around in rings]  # holes run the other way round
     axes.add_collection(PathCollection(outlines, facecolors=[(*colour, 0.2)], edgecolors=[colour], linewidths=width))
     edges = [lift(chain, frame)[:, sheet] for chain in segments_of(seen)]
     axes.add_collection(LineCollection(edges, colors=[colour], linewidths=_STRONG))
-
-
-def _outline(polygon: shapely.Polygon, frame: FloatArray, sheet: tuple[int, int]) -> Outline:
-    """A polygon with its holes, which run the other way round, on the sheet."""
-    rings = [lift(shapely.get_coordinates(ring), frame)[:, sheet] for ring in (polygon.exterior, *polygon.interiors)]
-    return Outline.make_compound_path(*[Outline(ring, closed=True) for ring in rings])
 
 
 mpl.rcParams["svg.hashsalt"] = "spplanes"

@@ -13,7 +13,7 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from shapely import LineString, Point, get_coordinates
+from shapely import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
 from slam.diagnostics.verdict import Verdict, ranges_of
@@ -26,8 +26,8 @@ from slam.map.map_planes import MapPlane
 from slam.mapping.consistency import NisSummary
 from slam.runs.history import History, in_cm
 from slam.runs.stored_run import StoredRun
-from slam.visualization.mesh import colour_of
-from slam.visualization.pictures import Drawn, draw_one, draw_uncertainty, without_slits
+from slam.visualization.mesh import colour_of, rings_of
+from slam.visualization.pictures import FRAME, Drawn, draw_uncertainty, draw_views, without_slits
 from slam.visualization.rerun_export import write_rerun
 from spplanes._check import FloatArray
 
@@ -165,10 +165,7 @@ def _plane(plane: MapPlane) -> dict[str, Any]:
         "kinds": list(plane.kinds),
         "area_m2": float(plane.seen.area),
         "colour": list(colour_of(plane)),
-        "faces": [
-            [_rounded(lift(get_coordinates(ring)[:-1], frame)) for ring in (part.exterior, *part.interiors)]
-            for part in polygons_of(seen)
-        ],
+        "faces": [[_rounded(ring[:-1]) for ring in rings_of(part, frame)] for part in polygons_of(seen)],
         "segments": [_rounded(lift(chain, frame)) for chain in segments_of(seen)],
         "inside": _rounded(lift(np.array([[inside.x, inside.y]]), frame))[0],
     }
@@ -215,7 +212,7 @@ def view_run(run: Path | str, out: Path | str | None = None, *, recording: Path 
     *views, uncertainty = drawn = [folder / name for name in ("plan.png", "side.png", "uncertainty.png")]
     for picture in views:
         with whole_file(picture) as scratch:
-            draw_one(stored, picture.stem, scratch, doubtful)
+            draw_views(stored, [picture.stem], FRAME, scratch, doubtful)
     with whole_file(uncertainty) as scratch:
         draw_uncertainty(stored, stored.history, scratch)
     with whole_file(folder / "report.html") as scratch:
