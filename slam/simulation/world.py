@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely import MultiPolygon, Polygon, box, transform, unary_union
 
+from slam.geometry.polygons import largest_polygon
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 from spplanes.plane import Plane
@@ -68,8 +69,7 @@ class Surface:
         frame = frame_at(middle, x_axis, np.cross(normal, x_axis), normal)
         turn, centroid = frame[:3, :2].T @ np.column_stack([u, v]), np.array([outline.centroid.x, outline.centroid.y])
         moved = transform(outline, lambda uv: (uv - centroid) @ turn.T)
-        piece = max(moved.geoms, key=lambda g: g.area) if isinstance(moved, MultiPolygon) else moved
-        return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=piece)
+        return Plane(frame=frame, covariance=np.zeros((3, 3)), outline=largest_polygon(moved))
 
 
 @dataclass
