@@ -20,9 +20,9 @@ SUITE = Suite(
 )
 
 
-def planes_of(suite: Suite = SUITE, floor_m: float = 0.0) -> list[Plane]:
-    """The true planes of a suite."""
-    return suite.world(floor_m).planes
+def planes_of(floor_m: float = 0.0) -> list[Plane]:
+    """The true planes of the suite."""
+    return SUITE.world(floor_m).planes
 
 
 def joint_of(planes: Sequence[Plane], *, sigma: float = 1e-3, seed: int = 0) -> JointPlanes:

@@ -9,9 +9,9 @@ from slam.simulation.buildings import corridor, office
 from spplanes.registration import beam_directions
 
 
-def cast_one(world, origin, ray, normal=(0.0, 0.0, 0.0)):
+def cast_one(world, origin, ray):
     ray = np.asarray(ray, dtype=float) / np.linalg.norm(ray)
-    ranges, labels = world.cast(np.array([origin], dtype=float), ray[None, None], np.array([normal], dtype=float))
+    ranges, labels = world.cast(np.array([origin], dtype=float), ray[None, None], np.zeros((1, 3)))
     return ranges[0, 0], labels[0, 0]
 
 
