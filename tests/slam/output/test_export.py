@@ -20,7 +20,7 @@ from slam.runs.stored_run import StoredRun
 from slam.visualization.mesh import mesh_of, write_glb
 from tests.slam.commands import command, refused
 from tests.slam.ply_tables import read_tables
-from tests.slam.visualization.test_open3d_export import WINDOW, needs_open3d, o3d, path, two_planes, wall
+from tests.slam.visualization.test_open3d_export import WINDOW, moving, needs_open3d, o3d, two_planes, wall
 
 GRAPH = "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n"
 
@@ -33,7 +33,7 @@ def run(tmp_path: Path) -> Path:
     planes = two_planes()
     write_planes(folder / "planes.json", planes)
     write_ply(folder / "map.ply", mesh_of(planes))
-    write_tum(folder / "trajectory.tum", path())
+    write_tum(folder / "trajectory.tum", moving(3))
     write_json(folder / "metrics.json", {"metrics": as_json([Metric("planes", 2, "")]), "notes": []})
     nis, covariances = {"plane": [(1, 2.5, 3), (2, 4.5, 3)]}, {0: np.eye(6) * 1e-6, 2: np.eye(6) * 1e-4}
     replace(History.of(planes), nis=nis, pose_covariances=covariances).write(folder / "view.json")
@@ -48,7 +48,7 @@ def test_every_target_from_the_command_line(run: Path, tmp_path: Path):
     for name, own in (("planes.ply", "map.ply"), ("graph.g2o", "graph.g2o"), ("traj.tum", "trajectory.tum")):
         assert (out / name).read_bytes() == (run / own).read_bytes()
     for name in names[-2:]:
-        np.testing.assert_array_equal(read_kitti(out / name), path().poses)
+        np.testing.assert_array_equal(read_kitti(out / name), moving(3).poses)
     assert sorted(file.name for file in out.iterdir()) == sorted(names)
 
 

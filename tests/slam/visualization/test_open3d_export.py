@@ -45,10 +45,10 @@ def two_planes():
     return [wall(), wall(9, MultiPolygon([box(0, 0, 1, 1), box(2, 0, 4, 1)]), floor)]
 
 
-def path():
-    poses = np.tile(np.eye(4), (3, 1, 1))
-    poses[:, 0, 3] = [0.0, 1.0, 3.0]
-    return Trajectory(np.array([0, 10, 20]), poses)
+def moving(count: int, y: float = 0.0) -> Trajectory:
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 0, 3], poses[:, 1, 3] = np.linspace(-2.0, 2.0, count), y
+    return Trajectory(np.arange(count), poses)
 
 
 def test_mesh_has_the_area_of_the_outlines_less_their_holes_lies_on_its_plane_and_faces_its_side():
@@ -92,7 +92,7 @@ def test_tensor_geometry_is_the_legacy_one_with_ids_and_deviations():
     lines = outlines_to_lines(planes, tensor=True)
     np.testing.assert_array_equal(lines.line.indices.numpy(), np.asarray(outlines_to_lines(planes).lines))
     assert list(lines.line["plane"].numpy().ravel()) == [7] * 8 + [9] * 8
-    assert trajectory_to_lines(path(), tensor=True).line.indices.numpy().shape == (2, 2)
+    assert trajectory_to_lines(moving(3), tensor=True).line.indices.numpy().shape == (2, 2)
 
 
 def test_points_are_coloured_by_plane_and_gaps_are_left_out():
@@ -142,8 +142,8 @@ def test_planes_of_a_graph_of_ones_own_are_drawn():
 
 def test_trajectories_of_any_kind_are_lines():
     """A run's, poses, positions."""
-    poses, expected = path().poses, trajectory_to_lines(path())
-    run, transforms = SimpleNamespace(trajectory=path()), [gtsam.Pose3(pose) for pose in poses]
+    poses, expected = moving(3).poses, trajectory_to_lines(moving(3))
+    run, transforms = SimpleNamespace(trajectory=moving(3)), [gtsam.Pose3(pose) for pose in poses]
     for given in (run, poses, list(poses), transforms, poses[:, :3, 3]):
         lines = trajectory_to_lines(given)
         np.testing.assert_array_equal(np.asarray(lines.points), np.asarray(expected.points))

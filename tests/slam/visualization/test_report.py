@@ -22,7 +22,7 @@ from slam.visualization.report import nis_blocks, scene_of, write_report
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.visualization.browser import Browser
-from tests.slam.visualization.test_open3d_export import wall
+from tests.slam.visualization.test_open3d_export import moving, wall
 
 EVIL = "</script><script>window.pwned = 1</script><img src=x onerror='window.pwned = 2'>"
 #: A pixel of a red dot: pictures are embedded as they are.
@@ -30,12 +30,6 @@ PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108020000009077"
     "53de0000000c4944415408d763f8cfc000000301010018dd8db00000000049454e44ae426082"
 )
-
-
-def moving(count: int, y: float) -> Trajectory:
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, 0, 3], poses[:, 1, 3] = np.linspace(-2.0, 2.0, count), y
-    return Trajectory(np.arange(count), poses)
 
 
 def stored() -> StoredRun:

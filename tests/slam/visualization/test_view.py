@@ -29,8 +29,8 @@ from slam.visualization.report import view_run
 from spplanes import Plane
 from spplanes.spmodel import transform_from_rpy
 from tests.slam.commands import command, refused
-from tests.slam.visualization.test_open3d_export import two_planes
-from tests.slam.visualization.test_report import moving, stored
+from tests.slam.visualization.test_open3d_export import moving, two_planes
+from tests.slam.visualization.test_report import stored
 
 try:
     import rerun
