@@ -65,8 +65,7 @@ class Curve:
         if (tied & (np.diff(cloud[order], axis=0) != 0.0).any(axis=1)).any():  # the same place, not the same point
             order = np.lexsort((cloud[:, 2], cloud[:, 1], cloud[:, 0], keys))
         sorted_points, sorted_keys = cloud[order] + 0.0, keys[order]
-        first = np.ones(len(order), dtype=bool)
-        first[1:] = (np.diff(sorted_points, axis=0) != 0.0).any(axis=1)
+        first = (np.diff(sorted_points, axis=0, prepend=np.nan) != 0.0).any(axis=1)
         number = np.empty(len(order), dtype=np.int64)
         number[order] = np.cumsum(first) - 1
         return cls(sorted_points[first], sorted_keys[first], number)
@@ -208,9 +207,5 @@ def _median_variance(cells: FloatArray) -> float:
 
 def _interleaved(places: np.ndarray) -> np.ndarray:
     """Keys of places (..., 3) of up to 20 bits: their bits in turn, shape (...,), int64."""
-    return _spread(places[..., 0]) | _spread(places[..., 1]) << 1 | _spread(places[..., 2]) << 2
-
-
-def _spread(values: np.ndarray) -> np.ndarray:
-    """Two zeros before every bit."""
-    return _SPREAD[values & 1023] | _SPREAD[values >> 10] << 30
+    x, y, z = np.moveaxis(_SPREAD[places & 1023] | _SPREAD[places >> 10] << 30, -1, 0)
+    return x | y << 1 | z << 2

@@ -19,9 +19,7 @@ LARGEST_RASTER = 1 << 20
 
 def projection_axis(nx: float, ny: float, nz: float) -> int:
     """World axis (0, 1, 2) along which a plane with this normal is projected: that of its largest component."""
-    if abs(nz) >= abs(nx) and abs(nz) >= abs(ny):
-        return 2
-    return 1 if abs(ny) >= abs(nx) else 0
+    return 2 - int(np.argmax(np.abs((nz, ny, nx))))
 
 
 def along_axes(axes: np.ndarray, cell: float) -> FloatArray:

@@ -32,11 +32,8 @@ def _one_part(filled: np.ndarray) -> np.ndarray:
 
 def _closed(filled: np.ndarray, reach: int) -> np.ndarray:
     """Closing by a square that reaches so many cells to each side."""
-    side, shape = 2 * reach + 1, np.array(filled.shape)
-    wide = np.zeros(shape + 2 * reach, dtype=np.uint8)
-    wide[reach:-reach, reach:-reach] = filled
-    dilated = ndimage.maximum_filter(wide, side, mode="constant")
-    return ndimage.minimum_filter(dilated, side, mode="constant")[reach:-reach, reach:-reach].astype(bool)
+    wide = np.pad(filled.astype(np.uint8), reach)
+    return ndimage.grey_closing(wide, 2 * reach + 1, mode="constant")[reach:-reach, reach:-reach].astype(bool)
 
 
 @njit(cache=True)

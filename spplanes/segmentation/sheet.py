@@ -62,10 +62,7 @@ def append(sheet: Sheet, rows: FloatArray, bias: FloatArray) -> None:
 
 def fuse(sheet: Sheet, root: np.ndarray) -> None:
     """Carry the result of a clustering of the regions over to labels and priors."""
-    gone = np.flatnonzero(root != np.arange(len(root)))
-    if not len(gone):
-        return
-    for r in gone:
+    for r in np.flatnonzero(root != np.arange(len(root))):
         merge_rows(sheet.prior[root[r]], sheet.prior[r], sheet.prior[root[r]])
         sheet.prior[r] = 0.0
     sheet.alias = root[sheet.alias]
@@ -94,8 +91,7 @@ def drop_small(sheet: Sheet, config: MapperConfig) -> None:
     """Take the points from regions that are too small or do not determine a plane; those from earlier scans stay."""
     keep = np.array([is_plane(row, config) for row in sheet.rows], dtype=bool)
     keep |= sheet.prior[:, 0] > 0.0
-    if not keep.all():
-        sheet.labels[~np.append(keep, True)[sheet.labels]] = -1
+    sheet.labels[~np.append(keep, True)[sheet.labels]] = -1
 
 
 def number_by_first_point(labels: np.ndarray, n_regions: int) -> tuple[np.ndarray, np.ndarray]:

@@ -195,39 +195,21 @@ def shared_variances(rows, shared, free, planar, size, start):
     return result[:count]
 
 
-@njit(cache=True)
-def cell_edges(node, labels, start, size):
+def cell_edges(node: np.ndarray, labels: np.ndarray, start: int, size: int) -> np.ndarray:
     """Pairs (E, 2) of neighbouring nodes: cells beside cells, and cells beside regions labelled already. Planar cells
     have the numbers `node`, (R, C), -1 = none, after those of regions; they begin at row `start` of the labels."""
     n_rows, n_cols = node.shape
-    edges = np.empty((n_rows * n_cols * (2 + 4 * size), 2), dtype=np.int64)
-    count = 0
-    for ci in range(n_rows):
-        for cj in range(n_cols):
-            if node[ci, cj] < 0:
-                continue
-            for di, dj in ((0, 1), (1, 0)):
-                if ci + di < n_rows and cj + dj < n_cols and node[ci + di, cj + dj] >= 0:
-                    edges[count, 0], edges[count, 1] = node[ci, cj], node[ci + di, cj + dj]
-                    count += 1
-            count = _region_edges(edges, count, node[ci, cj], labels, start + ci * size, cj * size, size)
-    return edges[:count]
-
-
-@inlined
-def _region_edges(edges, count, me, labels, i0, j0, size):
-    """Append an edge to every region that touches the frame of points around a cell; runs are counted once."""
-    n_rows, n_cols = labels.shape
-    for side in range(4):
-        last = -1
-        for k in range(size):
-            i = i0 - 1 if side == 0 else i0 + size if side == 1 else i0 + k
-            j = j0 - 1 if side == 2 else j0 + size if side == 3 else j0 + k
-            if i < 0 or j < 0 or i >= n_rows or j >= n_cols:
-                continue
-            region = labels[i, j]
-            if region >= 0 and region != last:
-                edges[count, 0], edges[count, 1] = region, me
-                count += 1
-                last = region
-    return count
+    around = np.full((n_rows * size + 2, n_cols * size + 2), -1)  # a frame of points, and what cells lack at the ends
+    above = min(start, 1)
+    around[1 - above : 1 + len(labels) - start, 1 : 1 + labels.shape[1]] = labels[start - above :]
+    beside = np.full((n_rows, n_cols, 2 + 4 * size), -1)  # of every cell: the next ones, and its frame of points
+    beside[:, :-1, 0], beside[:-1, :, 1] = node[:, 1:], node[1:]
+    for k, side in enumerate((around[:-2:size], around[size + 1 :: size])):
+        beside[..., 2 + k * size : 2 + (k + 1) * size] = side[:, 1:-1].reshape(n_rows, n_cols, size)
+    for k, side in enumerate((around[:, :-2:size], around[:, size + 1 :: size]), 2):
+        of_rows = side[1:-1].reshape(n_rows, size, n_cols)
+        beside[..., 2 + k * size : 2 + (k + 1) * size] = of_rows.swapaxes(1, 2)
+    there = (node[..., None] >= 0) & (beside >= 0)
+    there[..., 1:] &= beside[..., 1:] != beside[..., :-1]  # runs are counted once
+    cell = np.nonzero(there)[:2]
+    return np.sort(np.stack((node[cell], beside[there]), axis=1), axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from scipy import ndimage
 
 from spplanes._jit import njit
 from spplanes._threads import in_parts, threads_for
@@ -87,12 +88,7 @@ def grow(grid, planes, gate, floor_variance):
     _, _, valid, labels, start = grid
     free = valid & (labels < 0)
     free[:start] = False
-    beside = np.zeros_like(free)
-    beside[1:] |= free[:-1]
-    beside[:-1] |= free[1:]
-    beside[:, 1:] |= free[:, :-1]
-    beside[:, :-1] |= free[:, 1:]
-    sources = np.flatnonzero(beside & (labels >= 0))
+    sources = np.flatnonzero(ndimage.binary_dilation(free) & (labels >= 0))  # beside free ones
     queue = np.empty(labels.size, dtype=np.int64)
     queue[: sources.size] = sources
     _grow_from(queue, sources.size, grid, planes, gate, floor_variance)
@@ -129,28 +125,24 @@ def release(grid, planes, bias, size, limit):
 def _release_in(grid, planes, bias, size, limit, first, last):
     """The same in the rows of cells from first to last."""
     points, covariance, labels = grid
-    sums = np.zeros((planes.shape[0], 2))
+    sums, block = np.zeros((planes.shape[0], 2)), np.full(planes.shape[0], -1)  # sums are of the block told beside them
     for i0 in range(first * size, min(last * size, labels.shape[0]), size):
         for j0 in range(0, labels.shape[1], size):
-            i1, j1 = min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
-            for sweep in range(3):
-                for i in range(i0, i1):
-                    for j in range(j0, j1):
-                        r = labels[i, j]
-                        if r < 0:
-                            continue
-                        if sweep == 0:
-                            w = 1.0 / (variance_from(covariance, i, j, planes, r) + bias[r])
-                            sums[r, 0] += w
-                            sums[r, 1] += w * distance_of(points, i, j, planes, r)
-                        elif sweep == 1 and sums[r, 0] > 0.0:
-                            mean = sums[r, 1] / sums[r, 0]
-                            off = mean * mean > limit * (1.0 / sums[r, 0] + bias[r])
-                            sums[r, 0], sums[r, 1] = (-1.0 if off else 0.0), 0.0
-                        elif sweep == 2 and sums[r, 0] < 0.0:
-                            labels[i, j] = -2 - r
+            here, i1, j1 = i0 * labels.shape[1] + j0, min(i0 + size, labels.shape[0]), min(j0 + size, labels.shape[1])
             for i in range(i0, i1):
                 for j in range(j0, j1):
-                    if labels[i, j] <= -2:
-                        sums[-2 - labels[i, j], 0] = 0.0
-                        labels[i, j] = -1
+                    r = labels[i, j]
+                    if r < 0:
+                        continue
+                    if block[r] != here:
+                        sums[r], block[r] = 0.0, here
+                    w = 1.0 / (variance_from(covariance, i, j, planes, r) + bias[r])
+                    sums[r, 0] += w
+                    sums[r, 1] += w * distance_of(points, i, j, planes, r)
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    r = labels[i, j]
+                    if r >= 0 and sums[r, 0] > 0.0:
+                        mean = sums[r, 1] / sums[r, 0]
+                        if mean * mean > limit * (1.0 / sums[r, 0] + bias[r]):
+                            labels[i, j] = -1

@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from scipy import ndimage
 
 from spplanes._jit import inlined, inner, njit
 from spplanes._threads import in_parts
@@ -155,47 +156,22 @@ def _sum_along(values, labels, reach, result):
                 result[i, j] = total
 
 
-@njit(cache=True)
-def split_regions(labels, start, n_regions):
+def split_regions(labels: np.ndarray, start: int, n_regions: int) -> np.ndarray:
     """Give every connected part of a region, in place, a number of its own: the first n_regions are kept for those. The
     part of a region that the rows before `start` hold keeps its number, all other parts but the first get new ones. The
     region that every new number was part of is returned, shape (K,)."""
-    n_cols = labels.shape[1]
-    done = np.zeros(labels.shape, dtype=np.bool_)
-    taken = np.zeros(n_regions, dtype=np.bool_)
-    stack = np.empty(labels.size, dtype=np.int64)
-    origin, count = np.empty(labels.size, dtype=np.int64), 0
-    for seed in range(labels.size + start * n_cols):
-        settled = seed < start * n_cols
-        place = seed if settled else seed - start * n_cols
-        i, j = place // n_cols, place % n_cols
-        old = labels[i, j]
-        if old < 0 or done[i, j]:
-            continue
-        new = old
-        if taken[old] and not settled:
-            new = n_regions + count
-            origin[count] = old
-            count += 1
-        taken[old] = True
-        _number_part(labels, done, stack, i, j, new)
-    return origin[:count].copy()
-
-
-@inlined
-def _number_part(labels, done, stack, i, j, new):
-    """Give the connected part of a region that a point lies in a number; `stack` has room for all points."""
-    n_rows, n_cols = labels.shape
-    old, top = labels[i, j], 1
-    stack[0], done[i, j], labels[i, j] = i * n_cols + j, True, new
-    while top > 0:
-        top -= 1
-        a, b = stack[top] // n_cols, stack[top] % n_cols
-        for step in range(4):
-            c = a + (step == 1) - (step == 0)
-            d = b + (step == 3) - (step == 2)
-            if 0 <= c < n_rows and 0 <= d < n_cols and not done[c, d] and labels[c, d] == old:
-                done[c, d] = True
-                labels[c, d] = new
-                stack[top] = c * n_cols + d
-                top += 1
+    links = np.zeros(2 * np.array(labels.shape) - 1, dtype=bool)  # of points, and between those of one region
+    links[::2, ::2] = labels >= 0
+    links[::2, 1::2] = (labels[:, 1:] >= 0) & (labels[:, 1:] == labels[:, :-1])
+    links[1::2, ::2] = (labels[1:] >= 0) & (labels[1:] == labels[:-1])
+    parts, count = ndimage.label(links)  # type: ignore[misc]  # numbered in the order of their first points
+    part_of = parts[::2, ::2]
+    first = np.full(count + 1, labels.size)
+    np.minimum.at(first, part_of.ravel(), np.arange(labels.size))
+    old = labels.ravel()[first[1:]]
+    settled = first[1:] < start * labels.shape[1]
+    known = settled.copy()
+    known[np.unique(old, return_index=True)[1]] = True
+    number = np.where(known, old, n_regions - 1 + np.cumsum(~known))
+    labels[:] = np.append(-1, number)[part_of]
+    return old[~known]

@@ -44,33 +44,20 @@ def dissolve(grid, sizes, order, pairs, planes, floor_variance):
     return count
 
 
-@njit(cache=True)
-def near_pairs(labels, gap):
+def near_pairs(labels: np.ndarray, gap: int) -> np.ndarray:
     """Pairs of unlike regions at most `gap` points apart along every fourth row and column: (E, 2), many times each."""
-    n_rows, n_cols = labels.shape
-    pairs = np.empty((2 * labels.size + 16, 2), dtype=np.int64)
-    longest = max(n_rows, n_cols)
-    run, stop = np.empty(longest, dtype=np.int64), np.empty(longest, dtype=np.int64)
-    count = 0
-    for along in range(2):
-        outer, inner = (n_rows, n_cols) if along == 0 else (n_cols, n_rows)
-        for u in range(0, outer, BLOCK):
-            n_runs = 0
-            for v in range(inner):
-                r = labels[u, v] if along == 0 else labels[v, u]
-                if n_runs and run[n_runs - 1] == r:
-                    stop[n_runs - 1] = v
-                    continue
-                if r >= 0:
-                    k = n_runs - 1
-                    while k >= 0 and v - stop[k] <= gap and count < pairs.shape[0]:
-                        if run[k] >= 0 and run[k] != r:
-                            pairs[count, 0], pairs[count, 1] = min(r, run[k]), max(r, run[k])
-                            count += 1
-                        k -= 1
-                run[n_runs], stop[n_runs] = r, v
-                n_runs += 1
-    return pairs[:count]
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for lines in (labels[::BLOCK], labels[:, ::BLOCK].T):
+        regions = np.pad(lines, ((0, 0), (0, gap)), constant_values=-1).ravel()
+        first = np.flatnonzero(np.diff(regions, prepend=-2))
+        last = np.append(first[1:], regions.size) - 1
+        first, last, regions = (one[regions[first] >= 0] for one in (first, last, regions[first]))
+        ahead = 1  # runs of equal labels, each with those that follow it, until none is near enough
+        while (near := first[ahead:] - last[:-ahead] <= gap).any():
+            found.append(np.stack((regions[:-ahead], regions[ahead:]), axis=1)[near])
+            ahead += 1
+    pairs = np.sort(np.concatenate(found), axis=1)
+    return pairs[pairs[:, 0] < pairs[:, 1]]
 
 
 @inlined
