@@ -397,8 +397,8 @@ spplanes/segmentation/validation/bends.py  tests/slam/frontend/test_measurement.
 
 measurement: steps are looked for as bends are
 spplanes/segmentation/validation/bends.py  tests/slam/frontend/test_measurement.py -k no_bend
--np.repeat((0.0, _OF_STEPS), self._places.size)
-+np.repeat((0.0, 0.0), self._places.size)
+-np.repeat((0.0, _OF_STEPS), places.size)
++np.repeat((0.0, 0.0), places.size)
 
 lines are looked for once, by less noise than beams have
 spplanes/lines/extraction.py  tests/spplanes/lines/test_statistics.py -k beams_scatter

@@ -47,7 +47,7 @@ def arrange(points: FloatArray, grid: Grid | None = None) -> FloatArray:
         grid: shape of the range image; None: lines where the order shows them, else found in the points.
     """
     if points.ndim == 3:
-        return _cut_at_a_corner(points) if _closes(points) else points
+        return np.roll(points, turn_of(points), axis=1)
     used = returns_of(np.asarray(points, dtype=np.float64))
     lines = _lines_of(used) if grid is None else None
     return range_image(used, grid) if lines is None else lines
@@ -86,29 +86,29 @@ def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:
         [phase] = _phases_of(azimuth, np.array([grid.columns]))
         row = _rows_of(elevation, elevation.max(), elevation.min(), grid.rows)
         column = _columns_of(azimuth, grid.columns, phase)
-    return _cut_at_a_corner(nearest_points(points, row, column, grid.rows, grid.columns))
+    image = nearest_points(points, row, column, grid.rows, grid.columns)
+    return np.roll(image, _to_a_corner(image), axis=1)
 
 
-def _closes(grid: FloatArray) -> bool:
-    """Whether rows are whole turns: their last beam lies beside the first."""
+def turn_of(grid: FloatArray) -> int:
+    """By how many columns a grid (S, B, 3) is turned to begin at a corner; 0 unless its rows are whole turns: their
+    last beam lies beside the first."""
     with np.errstate(invalid="ignore", divide="ignore"):
         rays = grid / np.linalg.norm(grid, axis=-1, keepdims=True)
         steps = np.linalg.norm(np.diff(rays, axis=1, append=rays[:, :1]), axis=-1)
     if grid.shape[1] < 8 or not np.isfinite(steps[:, -1]).any() or not np.isfinite(steps[:, :-1]).any():
-        return False
-    return bool(np.nanmedian(steps[:, -1]) < 3.0 * np.nanmedian(steps[:, :-1]))
+        return 0
+    return _to_a_corner(grid) if np.nanmedian(steps[:, -1]) < 3.0 * np.nanmedian(steps[:, :-1]) else 0
 
 
-def _cut_at_a_corner(image: FloatArray) -> FloatArray:
-    """The image turned so that its ends meet where fewest surfaces go on."""
-    columns = image.shape[1]
-    lag = max(round(columns * (1.0 / 360.0)), 1)  # corners are looked for between beams a degree apart
+def _to_a_corner(image: FloatArray) -> int:
+    """By how many columns the image is turned for its ends to meet where fewest surfaces go on."""
+    lag = max(round(image.shape[1] * (1.0 / 360.0)), 1)  # corners are looked for between beams a degree apart
     missed = np.abs(misses_of(image, lag, closed=True))
     seen = missed[np.isfinite(missed)]
     if not len(seen):
-        return image
-    flat = np.count_nonzero(missed < 3.0 * np.median(seen), axis=0)
-    return np.roll(image, -int(flat.argmin()), axis=1)
+        return 0
+    return -int(np.count_nonzero(missed < 3.0 * np.median(seen), axis=0).argmin())
 
 
 def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.ndarray, np.ndarray]:

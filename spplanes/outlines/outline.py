@@ -53,9 +53,7 @@ def outlines_of_groups(
         return []
     projections = onto_planes(frames, cells)
     names, order, bounds = _groups_of(groups, labels)
-    angles = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
-    corners = np.empty((len(names), CORNERS, 2))
-    _hulls_of_groups(points, order, bounds, names, projections, np.stack((np.cos(angles), np.sin(angles)), 1), corners)
+    corners = _hulls_of_groups(points[order], bounds, projections[names])
     low, high = np.full((len(frames), 2), np.inf), np.full((len(frames), 2), -np.inf)
     np.minimum.at(low, names, corners.min(axis=1))
     np.maximum.at(high, names, corners.max(axis=1))
@@ -76,37 +74,23 @@ def _groups_of(groups: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.n
     return labels[order[bounds[:-1]]], order, bounds
 
 
-@njit(cache=True)
-def _hulls_of_groups(points, order, bounds, region, projections, directions, corners):
+def _hulls_of_groups(points: FloatArray, bounds: np.ndarray, projections: FloatArray) -> FloatArray:
     """Corners (G, CORNERS, 2) of the hulls of groups of points, each wider by half the distance of its points. Points
-    of group g are order[bounds[g]:bounds[g + 1]]; of its region, `region` (G,), the projection (R, 2, 4) takes points
-    to raster coordinates in cells; directions are unit vectors in the order of their angles."""
-    support = np.empty(CORNERS)
-    for g in range(region.shape[0]):
-        p, n = projections[region[g]], bounds[g + 1] - bounds[g]
-        support[:] = -np.inf
-        mu = mv = 0.0
-        for k in range(bounds[g], bounds[g + 1]):
-            i = order[k]
-            u = p[0, 0] * points[i, 0] + p[0, 1] * points[i, 1] + p[0, 2] * points[i, 2] + p[0, 3]
-            v = p[1, 0] * points[i, 0] + p[1, 1] * points[i, 1] + p[1, 2] * points[i, 2] + p[1, 3]
-            mu += u / n
-            mv += v / n
-            for d in range(CORNERS):
-                reach = u * directions[d, 0] + v * directions[d, 1]
-                if reach > support[d]:
-                    support[d], corners[g, d, 0], corners[g, d, 1] = reach, u, v
-        area = 0.0
-        for d in range(CORNERS):
-            e = (d + 1) % CORNERS
-            area += 0.5 * (corners[g, d, 0] * corners[g, e, 1] - corners[g, e, 0] * corners[g, d, 1])
-        wider = max(np.sqrt(max(area, 0.0) / n), 0.5)
-        for d in range(CORNERS):
-            du, dv = corners[g, d, 0] - mu, corners[g, d, 1] - mv
-            length = np.sqrt(du * du + dv * dv)
-            if length > 0.0:
-                corners[g, d, 0] += wider * du / length
-                corners[g, d, 1] += wider * dv / length
+    of group g are points[bounds[g]:bounds[g + 1]]; its projection, of (G, 2, 4), takes them to raster coordinates."""
+    counts = np.diff(bounds)
+    group, (x, y, z) = np.repeat(np.arange(len(counts)), counts), points.T
+    flat = [p[group, 0] * x + p[group, 1] * y + p[group, 2] * z + p[group, 3] for p in projections.swapaxes(0, 1)]
+    corners, angles = np.empty((len(counts), CORNERS, 2)), 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+    for d, (cosine, sine) in enumerate(zip(np.cos(angles), np.sin(angles), strict=True)):
+        reach = flat[0] * cosine + flat[1] * sine
+        farthest = np.flatnonzero(reach == np.maximum.reduceat(reach, bounds[:-1])[group])[::-1]  # the first is last
+        corners[group[farthest], d] = np.stack(flat, axis=1)[farthest]
+    u, v = np.moveaxis(corners, -1, 0)
+    area = np.cumsum(0.5 * (u * np.roll(v, -1, axis=1) - np.roll(u, -1, axis=1) * v), axis=1)[:, -1]
+    wider = np.maximum(np.sqrt(np.maximum(area, 0.0) / counts), 0.5)[:, None, None]
+    off = corners - np.stack([np.bincount(group, one / counts[group], len(counts)) for one in flat], axis=1)[:, None]
+    length = np.sqrt(off[..., :1] * off[..., :1] + off[..., 1:] * off[..., 1:])
+    return corners + np.divide(wider * off, length, out=np.zeros(off.shape), where=length > 0.0)
 
 
 @njit(cache=True)

@@ -64,20 +64,6 @@ class CloudPlanes(tuple[np.ndarray, "list[Plane]"]):
     warnings: list[str]
     """What speaks against these planes, a sentence each."""
 
-    def __new__(
-        cls,
-        labels: np.ndarray,
-        planes: list[Plane],
-        noise: CloudNoise,
-        coverage: Coverage,
-        flags: list[str],
-        warnings: list[str],
-    ) -> CloudPlanes:
-        """Put together what was found."""
-        self = super().__new__(cls, (labels, planes))
-        self.noise, self.coverage, self.flags, self.warnings = noise, coverage, flags, warnings
-        return self
-
     @property
     def labels(self) -> np.ndarray:
         """Plane of every point, index into planes, shape (N,) or (S, B), int32; -1 = none."""
@@ -128,7 +114,7 @@ def segment_cloud(
     """
     check_instance("config", config, MapperConfig)
     points = _points_of(cloud)
-    job = CloudSearch.checked(points, _eyes_of(viewpoint, points), sigma, config)
+    job = CloudSearch(points, _eyes_of(viewpoint, points), sigma, config)
     if points.ndim == 3 and normals is not None:
         raise ValueError("normals: expected none for a grid (S, B, 3), whose planes turn to its viewpoint")
     if normals is not None:
@@ -156,7 +142,10 @@ def _told(job: CloudSearch, found: Found) -> CloudPlanes:
     noise = CloudNoise(sigma, octave, source + f"{1e3 * octave:.2g} mm an octave")
     eyes = means_of(job.eyes[job.seen], found.labels, len(planes))
     warnings = _warnings(job, coverage, sigma, placed=bool(found.by_eye.any()))
-    return CloudPlanes(labels, planes, noise, coverage, _flags(job, planes, eyes, found.by_eye), warnings)
+    told = CloudPlanes((labels, planes))
+    told.noise, told.coverage, told.warnings = noise, coverage, warnings
+    told.flags = _flags(job, planes, eyes, found.by_eye)
+    return told
 
 
 def _flags(job: CloudSearch, planes: list[Plane], eyes: FloatArray, by_eye: np.ndarray) -> list[str]:

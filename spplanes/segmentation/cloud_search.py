@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from spplanes._check import TOO_LARGE, FloatArray, as_positive
-from spplanes.clouds.arrange import are_linked, arrange
+from spplanes.clouds.arrange import are_linked, turn_of
 from spplanes.clouds.octree import Curve, NoiseLaw
 from spplanes.clouds.scatter import scatter_along_beams
 from spplanes.outlines.outline import outlines_of_groups
@@ -35,22 +34,12 @@ class Found(NamedTuple):
     """Whose side the eyes tell, shape (R,), bool."""
 
 
-@dataclass(eq=False)
 class CloudSearch:
-    """A cloud that is searched for planes."""
+    """A cloud that is searched for planes: points (N, 3) or (S, B, 3), m; the returns `seen` among them, (N,) or
+    (S, B); and where they were seen from, `eyes`, of the points' shape."""
 
-    points: FloatArray
-    """Shape (N, 3) or (S, B, 3), m."""
-    seen: np.ndarray
-    """Which are returns, shape (N,) or (S, B)."""
-    eyes: FloatArray
-    """Where they were seen from, of the points' shape, m."""
-    sigma: float | None
-    config: MapperConfig
-
-    @classmethod
-    def checked(cls, points: FloatArray, eyes: FloatArray, sigma: float | None, config: MapperConfig) -> CloudSearch:
-        """Points, seen from one eye (3,) or each from its own (N, 3), with the returns among them told."""
+    def __init__(self, points: FloatArray, eyes: FloatArray, sigma: float | None, config: MapperConfig) -> None:
+        """From one eye (3,), or from one for each point (N, 3)."""
         seen = np.asarray(np.isfinite(points).all(axis=-1))
         largest = float(np.abs(points[seen]).max(initial=0.0))
         if largest >= TOO_LARGE:
@@ -58,15 +47,18 @@ class CloudSearch:
         seen &= (np.abs(points - eyes) > 1.0 / TOO_LARGE).any(axis=-1)  # at the viewpoint itself there is no direction
         if np.count_nonzero(seen) < 3:
             raise ValueError(f"cloud: expected at least three points, got {np.count_nonzero(seen)}")
-        return cls(points, seen, np.broadcast_to(eyes, points.shape), sigma, config)
+        self.points, self.eyes, self.seen = points, np.broadcast_to(eyes, points.shape), seen
+        self.sigma, self.config = sigma, config
 
     @cached_property
-    def _grid(self) -> tuple[FloatArray, Curve, NoiseLaw, FloatArray]:
-        """A grid from its eye, as it is searched, NaN = no return; the curve through its returns, the noise of the
-        points of that, and their variances, m^2."""
-        grid = arrange(np.where(self.seen[..., None], self.points - self.eyes, np.nan))
+    def _grid(self) -> tuple[FloatArray, int, Curve, NoiseLaw, FloatArray]:
+        """A grid from its eye, as it is searched, NaN = no return, and by how many columns it was turned for that; the
+        curve through its returns, the noise of the points of that, and their variances, m^2."""
+        grid = np.where(self.seen[..., None], self.points - self.eyes, np.nan)
+        turn = turn_of(grid)
+        grid = np.roll(grid, turn, axis=1)
         curve = Curve.through(grid[np.isfinite(grid[..., 0])])
-        return grid, curve, *self._noise_of(curve, np.zeros(3))
+        return grid, turn, curve, *self._noise_of(curve, np.zeros(3))
 
     @property
     def is_linked(self) -> bool:
@@ -74,7 +66,7 @@ class CloudSearch:
         Where noise is wider than that, the returns beside one are not those that are nearest to it."""
         if not are_linked(self.seen):
             return False
-        grid, curve, _, variances = self._grid
+        grid, _, curve, _, variances = self._grid
         here = np.isfinite(grid[..., 0])
         sigmas = np.zeros(here.shape)
         sigmas[here] = np.sqrt(variances)[curve.number]
@@ -97,13 +89,8 @@ class CloudSearch:
             planes = hesse(moments_of(*found, labels[None], self.config))
             labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
-        planes = np.empty((0, 4))
-        if self.sigma is None or not placed:
-            planes = hesse(moments_of(*found, labels[None], self.config))
-        if self.sigma is None:
-            spread = _fitting_variances(law, curve.points[None], planes, labels[None], eyes[None])
-        else:
-            spread = np.full((1, len(labels)), self.sigma**2)
+        planes = hesse(moments_of(*found, labels[None], self.config))
+        spread = self._fitting_variances(law, curve.points[None], planes, labels[None], eyes[None])
         cloud = curve.points[None], spread[..., None]
         n_planes = int(labels.max(initial=-1)) + 1
         sides, by_eye = means_of(eyes, labels, n_planes), np.ones(n_planes, dtype=bool)
@@ -120,27 +107,28 @@ class CloudSearch:
     def of_grid(self) -> Found:
         """Planes of a grid."""
         eye = self.eyes.reshape(-1, 3)[0]
-        grid, curve, law, variances = self._grid
+        grid, turn, curve, law, variances = self._grid
         here = np.isfinite(grid[..., 0])
         spread = np.ones(here.shape)
         spread[here] = variances[curve.number] if self.sigma is None else self.sigma**2
         found = label_scans(grid, sigma=np.sqrt(spread), viewpoints=np.zeros(3), config=self.config)
         labels = once = _largest_first(found.labels)
-        if len(curve.points) < len(curve.number):  # copies take part in the search, and tell the fit nothing
+        first = curve.number_of_first()
+        if len(first) < len(curve.number):  # copies take part in the search, and tell the fit nothing
             counted = here.copy()
-            counted[here] = curve.number_of_first()[curve.number] == np.arange(len(curve.number))
+            counted[here] = first[curve.number] == np.arange(len(curve.number))
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
-        if self.sigma is None:
-            planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
-            spread = _fitting_variances(law, grid, planes, labels, np.zeros(3))
+        planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
+        spread = self._fitting_variances(law, grid, planes, labels, np.zeros(3))
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
         fitted = fit_labelled(grid, spread[..., None], once, eyes, self.config, views=views, stated=stated)
         drawn = fitted.with_outlines(outlines_in(fitted.frames, grid, labels, fitted.extents, self.config))
-        own = _labels_of(self.points - eye, grid, once)[self.seen]
-        distinct = spread[here][curve.number_of_first()]
-        return Found(own, drawn, eye, fitted, distinct, np.ones(len(drawn), dtype=bool))
+        own = np.full(here.shape, -1)
+        own[here] = once[here][first][curve.number]  # of copies as well
+        own = np.roll(own, -turn, axis=1)[self.seen]
+        return Found(own, drawn, eye, fitted, spread[here][first], np.ones(len(drawn), dtype=bool))
 
     def _noise_of(self, curve: Curve, eyes: FloatArray) -> tuple[NoiseLaw, FloatArray]:
         """For tests: what is stated, and no less than points show; and the variances of the distinct points, m^2."""
@@ -155,22 +143,24 @@ class CloudSearch:
         near = curve.neighbourhoods()  # by its own range alone a point that is measured too short has less noise
         return law, law.at((np.bincount(near, ranges) / np.maximum(np.bincount(near), 1))[near])
 
-
-def _fitting_variances(
-    law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
-) -> FloatArray:
-    """For covariances, (S, B), m^2: of points by how far their planes are along their beams, 1 of no return (NaN). By
-    where a point was measured, alone or with its neighbours, those measured too short would weigh more. Beams meet
-    their planes at most twice as far, or half as far, as their points are. `eyes`: shape (S, B, 3) or (3,), m."""
-    here = np.isfinite(points[..., 0])
-    away = points - eyes
-    ranges = np.linalg.norm(away, axis=-1)
-    if len(planes):
-        normals, d = planes[labels, :3], planes[labels, 3]
-        along, to_plane = (normals * away).sum(axis=-1), d - (normals * eyes).sum(axis=-1)
-        share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
-        ranges = ranges * np.clip(share, 0.5, 2.0)
-    return np.where(here, law.at(ranges), 1.0)
+    def _fitting_variances(
+        self, law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
+    ) -> FloatArray:
+        """For covariances, (S, B), m^2: what is stated, else that of points by how far their planes are along their
+        beams; 1 of no return (NaN). By where a point was measured, alone or with its neighbours, those measured too
+        short would weigh more. Beams meet their planes at most twice as far, or half as far, as their points are.
+        `eyes`: shape (S, B, 3) or (3,), m."""
+        here = np.isfinite(points[..., 0])
+        if self.sigma is not None:
+            return np.where(here, self.sigma**2, 1.0)
+        away = points - eyes
+        ranges = np.linalg.norm(away, axis=-1)
+        if len(planes):
+            normals, d = planes[labels, :3], planes[labels, 3]
+            along, to_plane = (normals * away).sum(axis=-1), d - (normals * eyes).sum(axis=-1)
+            share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
+            ranges = ranges * np.clip(share, 0.5, 2.0)
+        return np.where(here, law.at(ranges), 1.0)
 
 
 def _errs_by_less(grid: FloatArray, sigmas: FloatArray) -> bool:
@@ -211,14 +201,3 @@ def _ahead_of(
     units = normals / np.where(usable, lengths, 1.0)[:, None]
     mean = means_of(units, np.where(usable, labels, -1), n_planes)
     return means_of(points, labels, n_planes) + mean, np.linalg.norm(mean, axis=1) >= 0.5
-
-
-def _labels_of(points: FloatArray, grid: FloatArray, labels: np.ndarray) -> np.ndarray:
-    """Labels in the order of the points: a cell of the grid holds a point of the cloud to the last bit."""
-    rows, cells = (np.ascontiguousarray(one.reshape(-1, 3)).view("V24").ravel() for one in (points + 0.0, grid + 0.0))
-    names, of_rows = np.unique(np.concatenate([rows, cells]), return_inverse=True)
-    of_name = np.full(len(names), -1, dtype=np.int32)
-    flat = labels.ravel()
-    held = flat >= 0
-    of_name[of_rows[len(rows) :][held]] = flat[held]
-    return of_name[of_rows[: len(rows)]].reshape(points.shape[:-1])

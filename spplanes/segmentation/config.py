@@ -70,13 +70,10 @@ class MapperConfig:
         for name in ("gate_sigma", "outline_cell_m", "max_tilt_rad", "max_crease_rad"):
             check_range(name, getattr(self, name), 0.0, np.inf)
         check_range("max_incidence_rad", self.max_incidence_rad, 0.0, np.pi / 2)
-        for name in ("flatness_m", "surface_sigma_m", "border_smoothness"):
+        for name in ("flatness_m", "surface_sigma_m", "border_smoothness", "pose_correlation_scans"):
             check_range(name, getattr(self, name), 0.0, np.inf, closed=True)
-        for name in ("min_points", "largest_cell", "smallest_cell"):
-            if int(getattr(self, name)) < 3:
-                raise ValueError(f"{name}: expected at least 3, got {getattr(self, name)}")
-        check_range("pose_correlation_scans", self.pose_correlation_scans, 0.0, np.inf, closed=True)
-        for name, least in (("strip_scans", 2), ("lookahead_scans", 0)):
+        fewest = {"min_points": 3, "largest_cell": 3, "smallest_cell": 3, "strip_scans": 2, "lookahead_scans": 0}
+        for name, least in fewest.items():
             if int(getattr(self, name)) < least:
                 raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
         if self.largest_cell < self.smallest_cell:

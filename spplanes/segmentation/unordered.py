@@ -67,7 +67,7 @@ class _Labelling:
         number = np.cumsum(cells.planar) - 1
         pairs, rows = cells.neighbours, cells.rows[cells.planar]
         edges = number[pairs[cells.planar[pairs].all(axis=1)]]
-        root = self._clustered(rows, edges)
+        root = cluster_patches(rows, np.zeros((len(rows), 2)), edges, self.config, self.octave_m)
         few = self.config.min_points / 2
         kept = [r for r in np.unique(root) if rows[r, 0] >= few and is_determined(rows[r], self.config)]
         label = np.full(len(rows), -1)
@@ -100,10 +100,6 @@ class _Labelling:
         covariances[:, (0, 1, 2), (0, 1, 2)] = 1.0 / spreads
         cloud = self.points, self.variances[:, None], self.labels
         return shared_error_of(*cloud, frames, covariances, stated=False).octave_sigma_m
-
-    def _clustered(self, rows: FloatArray, edges: np.ndarray) -> np.ndarray:
-        """Root of every patch; rows are those of the trees afterwards."""
-        return cluster_patches(rows, np.zeros((len(rows), 2)), edges, self.config, self.octave_m)
 
     def _wander(self) -> FloatArray:
         """Variance of the points of every region about its plane beside their noise, shape (R,), m^2."""
@@ -143,7 +139,7 @@ class _Labelling:
         if not len(edges):
             return False
         edges = edges[np.lexsort(edges.T[::-1])]
-        root = self._clustered(self.rows, edges)
+        root = cluster_patches(self.rows, np.zeros((len(self.rows), 2)), edges, self.config, self.octave_m)
         self.labels = np.append(root, -1)[self.labels]
         dissolved = self._dissolve(root[edges])
         return dissolved or bool((root != np.arange(len(root))).any())

@@ -54,50 +54,36 @@ def surest_bend(places: FloatArray, residuals: FloatArray, weights: FloatArray) 
     if len(cells) < 2 * _FEWEST:
         return None
     step, ends = np.pi / 8, (_FEWEST / _CELLS, 1.0 - _FEWEST / _CELLS)
-    found = _Bends(cells, step * np.arange(0.0, 8), np.linspace(*ends, _CELLS - 2 * _FEWEST + 1))
-    for _ in range(4 if found.chi2.max() > 8.0 else 0):  # about a direction that is worth it they are halved
+    found, angle = _surest(cells, step * np.arange(0.0, 8), np.linspace(*ends, _CELLS - 2 * _FEWEST + 1))
+    for _ in range(4 if found.chi2 > 8.0 else 0):  # about a direction that is worth it they are halved
         step /= 2.0
-        found = _Bends(cells, found.angle + step * np.arange(-1.0, 2.0), np.linspace(*ends, 33))
-    return found.surest()
+        found, angle = _surest(cells, angle + step * np.arange(-1.0, 2.0), np.linspace(*ends, 33))
+    return found
 
 
-class _Bends:
-    """Bends and steps square to some angles (A,), after some shares (Q,) of the way along each."""
-
-    def __init__(self, cells: FloatArray, angles: FloatArray, shares: FloatArray) -> None:
-        weight, place, mean = cells[:, 0], cells[:, 1:3], cells[:, 3]
-        self._directions = np.stack((np.cos(angles), np.sin(angles)))
-        along = place @ self._directions
-        low, high = along.min(axis=0), along.max(axis=0)
-        self._places = low + shares[:, None] * (high - low)
-        off = along[:, None, :] - self._places
-        shape = np.stack((np.abs(off), np.where(off > 0.0, high - low, 0.0)), axis=1).reshape(len(cells), -1)
-        trend, root = np.column_stack((np.ones(len(cells)), place)), np.sqrt(weight)[:, None]
-        basis, _ = np.linalg.qr(root * trend)
-        shape, left = (root * one - basis @ (basis.T @ (root * one)) for one in (shape, mean[:, None]))
-        least = 1e-12 * weight.sum() * np.tile(high - low, 2 * len(shares)) ** 2
-        self._information = np.maximum((shape**2).sum(axis=0), least)
-        self._pull, self._shape, self._root = (shape * left).sum(axis=0), shape, root[:, 0]
-        chi2 = self._pull**2 / self._information - np.repeat((0.0, _OF_STEPS), self._places.size)
-        self.chi2 = chi2.reshape(2, *self._places.shape)
-        """Of bends and of steps, shape (2, Q, A)."""
-        self._best = int(np.argmax(chi2))
-        self._column = self._best % len(angles)
-        self.angle = float(angles[self._column])
-
-    def surest(self) -> Bend:
-        """The surest; it is anywhere that is hardly less sure, within three standard deviations."""
-        k, information = self._best, float(self._information[self._best])
-        most = float(np.abs(self._shape[:, k] / self._root).max())
-        by_place = self.chi2[:, :, self._column].max(axis=0)
-        among = self._places[by_place >= self.chi2.max() - 9.0, self._column]
-        return Bend(
-            float(self.chi2.max()),
-            most * abs(float(self._pull[k])) / information,
-            most / float(np.sqrt(information)),
-            self._directions[:, self._column],
-            (float(among.min()), float(among.max())),
-        )
+def _surest(cells: FloatArray, angles: FloatArray, shares: FloatArray) -> tuple[Bend, float]:
+    """The surest of the bends and steps square to some angles (A,), after some shares (Q,) of the way along each, and
+    its angle; it is anywhere that is hardly less sure, within three standard deviations."""
+    weight, place, mean = cells[:, 0], cells[:, 1:3], cells[:, 3]
+    directions = np.stack((np.cos(angles), np.sin(angles)))
+    along = place @ directions
+    low, high = along.min(axis=0), along.max(axis=0)
+    places = low + shares[:, None] * (high - low)
+    off = along[:, None, :] - places
+    shape = np.stack((np.abs(off), np.where(off > 0.0, high - low, 0.0)), axis=1).reshape(len(cells), -1)
+    trend, root = np.column_stack((np.ones(len(cells)), place)), np.sqrt(weight)[:, None]
+    basis, _ = np.linalg.qr(root * trend)
+    shape, left = (root * one - basis @ (basis.T @ (root * one)) for one in (shape, mean[:, None]))
+    least = 1e-12 * weight.sum() * np.tile(high - low, 2 * len(shares)) ** 2
+    information, pull = np.maximum((shape**2).sum(axis=0), least), (shape * left).sum(axis=0)
+    chi2 = pull**2 / information - np.repeat((0.0, _OF_STEPS), places.size)
+    best = int(np.argmax(chi2))
+    column, most = best % len(angles), float(np.abs(shape[:, best] / root[:, 0]).max())
+    by_place = chi2.reshape(2, *places.shape)[:, :, column].max(axis=0)
+    among = places[by_place >= chi2[best] - 9.0, column]
+    height, sigma = most * abs(float(pull[best])) / float(information[best]), most / float(np.sqrt(information[best]))
+    between = float(among.min()), float(among.max())
+    return Bend(float(chi2[best]), height, sigma, directions[:, column], between), float(angles[column])
 
 
 def _cells_of(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:

@@ -59,7 +59,11 @@ class InPatches:
         if scan_index is not None:
             means = np.bincount(scan_index, residuals) / np.maximum(np.bincount(scan_index), 1)
             residuals = residuals - means[scan_index]
-        self._of_points = residuals, np.maximum(variances, 1e-12), np.empty(0) if drift_m is None else drift_m**2
+        self._of_points = (
+            residuals,
+            np.maximum(variances, 1e-12),
+            np.zeros(len(points)) if drift_m is None else drift_m**2,
+        )
         self._limits = rules.step_sigmas, rules.step_m
         self._row, self._column, self._n_rows, self._n_columns = patches_of(points, plane.frame, rules.patch_m)
         self._wide = self._n_columns + 2  # room for the patches around
@@ -123,12 +127,12 @@ def strays(
     least: float,
 ) -> np.ndarray:
     """Whether the weighted mean residual of each group (N,) is more than noise, drift and unevenness, shape
-    (n_groups,). `residuals` and `variances` are along the plane's normal, m and m^2, `drift` (N,), or (0,) for none,
-    the variance of what a slow error shifts every point by. A mean may be so many `sigmas`, and `least`, m."""
-    weights, slow = 1.0 / variances, np.zeros(n_groups)
-    total, moments = np.bincount(group, weights, n_groups), np.bincount(group, weights * residuals, n_groups)
-    if len(drift):
-        slow = np.bincount(group, weights * drift, n_groups)
+    (n_groups,). `residuals` and `variances` are along the plane's normal, m and m^2, `drift` (N,) the
+    variance of what a slow error shifts every point by. A mean may be so many `sigmas`, and `least`, m."""
+    weights = 1.0 / variances
+    total, moments, slow = (
+        np.bincount(group, one, n_groups) for one in (weights, weights * residuals, weights * drift)
+    )
     there, total = total > 0.0, np.where(total > 0.0, total, 1.0)
     return there & (np.abs(moments / total) > np.maximum(sigmas * np.sqrt((1.0 + slow) / total), least))
 

@@ -123,13 +123,12 @@ def _cutter(window: Window, members: np.ndarray, frame: FloatArray, uneven_m: fl
         if len(part) < 2 * FEWEST:
             return np.zeros(len(part), dtype=bool), 0.0
         scans, row = np.unique(scan[part], return_inverse=True)
-        column, w, information = (
-            beam[part] - beam[part].min(),
-            weights[part],
-            np.linalg.inv(drift[np.ix_(scans, scans)]),
-        )
-        inverse, left = _explained(row, place[part], residuals[part], w, information)
-        (i0, i1, j0, j1), chi2 = _surest(row, column, place[part], left, w, inverse, rule)
+        column, w = beam[part] - beam[part].min(), weights[part]
+        inverse, left = _explained(row, place[part], residuals[part], w, np.linalg.inv(drift[np.ix_(scans, scans)]))
+        sums = np.zeros((len(scans), column.max() + 2, 5))  # over the beams before
+        each = np.column_stack((w, w[:, None] * place[part], w * left, np.ones(len(part))))
+        np.add.at(sums, (row, column + 1), each)
+        (i0, i1, j0, j1), chi2 = _surest(np.cumsum(sums, axis=1), inverse, rule)
         return (row >= i0) & (row < i1) & (column >= j0) & (column < j1), chi2
 
     return cut
@@ -152,23 +151,12 @@ def _rejoined(parts: list[np.ndarray], cut: Cut) -> list[np.ndarray]:
 
 
 @njit(cache=True)
-def _surest(row, column, place, left, weights, inverse, rule):
+def _surest(sums, inverse, rule):
     """Scans and beams, from and to, of the surest step that is left, and its chi2; see `_cutter`. Corners are sought
     between 24 bands of beams, and must be surer by 7.4: there are forty times as many of them as of straight cuts, and
-    2 log 40 is that. `rule`: variance of a step on one plane, for surfaces are not flat, m^2; the least, m."""
-    n_rows, n_columns = inverse.shape[0] - 3, column.max() + 1
-    sums = np.zeros((n_rows, n_columns + 1, 5))
-    for k in range(row.shape[0]):
-        cell, w = sums[row[k], column[k] + 1], weights[k]
-        cell[0] += w
-        cell[1] += w * place[k, 0]
-        cell[2] += w * place[k, 1]
-        cell[3] += w * left[k]
-        cell[4] += 1.0
-    for i in range(n_rows):
-        for j in range(n_columns):
-            for k in range(5):
-                sums[i, j + 1, k] += sums[i, j, k]
+    2 log 40 is that. `sums` over the beams before, (S, B + 1, 5): weights, these by places and residuals, points;
+    `rule`: variance of a step on one plane, for surfaces are not flat, m^2; the least, m."""
+    n_rows, n_columns = sums.shape[0], sums.shape[1] - 1
     best, cut = 0.0, (0, n_rows, 0, 0)
     every = max(n_columns // 24, 1)
     z = np.empty(3 + n_rows)
@@ -204,16 +192,14 @@ def _step(sums, box, inverse, rule, z):
     """Chi2 of the step of the points in scans i0 to i1 and beams j0 to j1, from sums over beams before."""
     (i0, i1, j0, j1), (uneven, least) = box, rule
     z[:] = 0.0
-    moment, count, total = 0.0, 0.0, 0.0
-    for i in range(sums.shape[0]):
-        total += sums[i, -1, 4]
+    moment, count = 0.0, 0.0
     for i in range(i0, i1):
         for k in range(3):
             z[k] += sums[i, j1, k] - sums[i, j0, k]
         z[3 + i] = sums[i, j1, 0] - sums[i, j0, 0]
         moment += sums[i, j1, 3] - sums[i, j0, 3]
         count += sums[i, j1, 4] - sums[i, j0, 4]
-    if count < FEWEST or total - count < FEWEST:
+    if count < FEWEST or sums[:, -1, 4].sum() - count < FEWEST:
         return 0.0
     share = z[0]
     for a in range(z.shape[0]):
