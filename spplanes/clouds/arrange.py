@@ -68,9 +68,7 @@ def shows_lines(points: FloatArray) -> bool:
 
 def returns_of(points: FloatArray) -> FloatArray:
     """The points (N, 3) that are finite and not at the sensor, in their order."""
-    x, y, z = points.T
-    finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
-    return points[finite & ((x != 0.0) | (y != 0.0) | (z != 0.0))]
+    return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 
 def range_image(points: FloatArray, grid: Grid | None = None) -> FloatArray:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import isotonic_regression
@@ -29,19 +28,6 @@ _BINS, _CELLS_OF_BIN = 12, 20
 #: Numbers of 10 bits with two zeros before every bit, and of 15 bits every third.
 _SPREAD = np.bitwise_or.reduce([(np.arange(1 << 10) >> bit & 1) << 3 * bit for bit in range(10)])
 _GATHERED = np.bitwise_or.reduce([(np.arange(1 << 15) >> 3 * bit & 1) << bit for bit in range(5)])
-
-
-class NoiseLaw(NamedTuple):
-    """How the noise of points goes with their range."""
-
-    ranges: FloatArray
-    """Ascending, shape (K,), m."""
-    variances: FloatArray
-    """At these, shape (K,), m^2."""
-
-    def at(self, ranges: FloatArray) -> FloatArray:
-        """Variances at other ranges, of their shape, m^2."""
-        return np.interp(ranges, self.ranges, self.variances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +56,9 @@ class Curve:
         number[order] = np.cumsum(first) - 1
         return cls(sorted_points[first], sorted_keys[first], number)
 
-    def noise_law(self, ranges: FloatArray) -> NoiseLaw | None:
-        """Variance of points about planes through their neighbours, by range (N,), m; None where too few look flat.
+    def noise_law(self, ranges: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Variance of points about planes through their neighbours, m^2, by range (N,), m: some ranges, ascending, and
+        the variances at these, (K,) both; None where too few look flat.
 
         It is the median over flat cells at about the same range, and never falls with it: noise of range sensors grows.
         Cells are taken larger, four times as many points, until enough at that range look flat: where points lie closer
@@ -85,7 +72,7 @@ class Curve:
         medians = np.array([_median_variance(one) for one in bins])
         middles = np.array([np.median(ranges[one[:, 3].astype(np.int64)]) for one in bins])
         rising = isotonic_regression(medians, weights=[one[:, 0].sum() for one in bins]).x
-        return NoiseLaw(middles, rising)
+        return middles, rising
 
     def _flat_cells(self, ranges: FloatArray) -> FloatArray:
         """Cells that look flat (see `local_scatter`), in every shell of ranges the smallest of which there are enough.

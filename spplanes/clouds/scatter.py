@@ -38,12 +38,8 @@ def scatter_along_beams(points: FloatArray, eyes: FloatArray, labels: np.ndarray
     """Whether points scatter about their planes as by noise along beams from their eyes, not as if alike everywhere.
 
     Along beams their squares go with sin^2 of the angle at which the plane is met, whatever else goes with the range.
-    The two are compared by logarithms of squares, in which outliers count little.
-
-    Args:
-        points, eyes: shape (N, 3), m.
-        labels: plane of every point, shape (N,), -1 = none.
-        planes: (normal, d), shape (R, 4).
+    The two are compared by logarithms of squares, in which outliers count little. Points and eyes are (N, 3), m, labels
+    (N,), -1 = none, planes (normal, d), (R, 4).
     """
     on = labels >= 0
     if not on.any():

@@ -20,7 +20,7 @@ from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import shares_of
 from spplanes.segmentation.refinement.refining import BORDER_GAP
 from spplanes.segmentation.scans import as_grid, as_noise
-from spplanes.segmentation.sheet import Sheet, number_by_first_point, renumbered
+from spplanes.segmentation.sheet import Sheet, by_first_point, renumbered
 
 #: Settled scans kept to show where regions reach in: as far as an occluder may part a plane.
 CONTEXT_SCANS = BORDER_GAP + 1
@@ -149,7 +149,7 @@ def _numbers(sheet: Sheet, active: np.ndarray, part: slice, table: RegionTable) 
             number[root] = old
         elif number[root] != old:
             table.join(int(number[root]), int(old))
-    _, order = number_by_first_point(sheet.labels[part], len(sheet.rows))
+    order = by_first_point(sheet.labels[part])
     fresh = order[number[order] < 0]
     planes = hesse(sheet.rows)
     axes = np.array([projection_axis(*planes[r, :3]) for r in fresh], dtype=np.int64)

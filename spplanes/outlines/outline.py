@@ -24,14 +24,8 @@ CORNERS = 16
 def outlines_of_grid(
     points: FloatArray, labels: np.ndarray, frames: FloatArray, cells: FloatArray
 ) -> list[Polygon | None]:
-    """Outlines of the regions of a grid; None where a region covers no cell.
-
-    Args:
-        points: shape (S, B, 3), m.
-        labels: shape (S, B), 0..R-1, -1 = none.
-        frames: world_T_plane of every region, shape (R, 4, 4).
-        cells: side of the cells of every region, shape (R,), m.
-    """
+    """Outlines of the regions of a grid, None where one covers no cell: of points (S, B, 3), m, with labels (S, B), in
+    the frames world_T_plane of the regions, (R, 4, 4), drawn in cells of sides (R,), m."""
     projections = onto_planes(frames, cells)
     filled, first, corner, shape = draw(points, labels, projections)
     return _traced(filled, first, corner, shape, 1.0 / np.linalg.norm(projections[:, 0, :3], axis=1))
@@ -40,17 +34,8 @@ def outlines_of_grid(
 def outlines_of_groups(
     points: FloatArray, groups: np.ndarray, labels: np.ndarray, frames: FloatArray, cells: FloatArray
 ) -> list[Polygon | None]:
-    """Outlines of regions of points without order: the hulls of groups of neighbours; None where there are none.
-
-    Args:
-        points: shape (N, 3), m.
-        groups: of neighbours, small where a region ends, shape (N,).
-        labels: region of every point, shape (N,), -1 = none.
-        frames: world_T_plane of every region, shape (R, 4, 4).
-        cells: side of the raster's cells of every region, shape (R,), m.
-    """
-    if not len(frames):
-        return []
+    """Outlines of regions of points without order, (N, 3), m: the hulls of groups of neighbours, None where there are
+    none. Groups, (N,), are small where a region ends; all else is as of `outlines_of_grid`."""
     projections = onto_planes(frames, cells)
     names, order, bounds = _groups_of(groups, labels)
     corners = _hulls_of_groups(points[order], bounds, projections[names])
@@ -136,14 +121,8 @@ def _traced(
 
 
 def outline_from_cells(cells: np.ndarray, cell: float, axis: int, frame: FloatArray) -> Polygon | None:
-    """Polygon in plane coordinates around cells of a region, m; None when there is no cell.
-
-    Args:
-        cells: shape (K, 2), int64.
-        cell: side of a cell, m.
-        axis: projection axis of the cells.
-        frame: world_T_plane, shape (4, 4).
-    """
+    """Polygon in plane coordinates, m, of the plane with a frame (4, 4), around cells (K, 2), int64, of a side, m, that
+    were drawn along an axis; None when there is no cell."""
     if not len(cells):
         return None
     corner = cells.min(axis=0)
@@ -182,11 +161,8 @@ def in_projection(cells: np.ndarray, axes: np.ndarray, axis: int, cell: float, f
     """
     usable = np.abs(frame[axes, 2]) > 0.2
     cells, axes = cells[usable], axes[usable]
-    other = axes != axis
-    if not other.any():
-        return cells
     moved = cells.copy()
-    for old in np.unique(axes[other]):
+    for old in np.unique(axes[axes != axis]):
         mine = axes == old
         x_y = _lift((cells[mine] + 0.5) * cell, int(old), frame)
         world = frame[:3, 3] + x_y @ frame[:3, :2].T

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from spplanes._check import TOO_LARGE, FloatArray, as_positive
 from spplanes.clouds.arrange import are_linked, turn_of
-from spplanes.clouds.octree import Curve, NoiseLaw
+from spplanes.clouds.octree import Curve
 from spplanes.clouds.scatter import scatter_along_beams
 from spplanes.outlines.outline import outlines_of_groups
 from spplanes.plane import Plane
@@ -19,6 +20,9 @@ from spplanes.segmentation.planes import FittedPlanes, cells_of, fit_labelled, m
 from spplanes.segmentation.scans import label_scans
 from spplanes.segmentation.sheet import means_of, renumbered
 from spplanes.segmentation.unordered import label_curve
+
+#: Variances of points, m^2, by their ranges, m.
+Law = Callable[[FloatArray], FloatArray]
 
 
 class Found(NamedTuple):
@@ -51,7 +55,7 @@ class CloudSearch:
         self.sigma, self.config = sigma, config
 
     @cached_property
-    def _grid(self) -> tuple[FloatArray, int, Curve, NoiseLaw, FloatArray]:
+    def _grid(self) -> tuple[FloatArray, int, Curve, Law, FloatArray]:
         """A grid from its eye, as it is searched, NaN = no return, and by how many columns it was turned for that; the
         curve through its returns, the noise of the points of that, and their variances, m^2."""
         grid = np.where(self.seen[..., None], self.points - self.eyes, np.nan)
@@ -130,7 +134,7 @@ class CloudSearch:
         own = np.roll(own, -turn, axis=1)[self.seen]
         return Found(own, drawn, eye, fitted, spread[here][first], np.ones(len(drawn), dtype=bool))
 
-    def _noise_of(self, curve: Curve, eyes: FloatArray) -> tuple[NoiseLaw, FloatArray]:
+    def _noise_of(self, curve: Curve, eyes: FloatArray) -> tuple[Law, FloatArray]:
         """For tests: what is stated, and no less than points show; and the variances of the distinct points, m^2."""
         ranges = np.linalg.norm(curve.points - eyes, axis=1)
         shown = curve.noise_law(ranges)
@@ -138,13 +142,13 @@ class CloudSearch:
             expected = "a standard deviation, for the cloud shows no flat places to measure it at"
             raise ValueError(f"sigma: expected {expected}")
         least = 1e-4 if self.sigma is None else as_positive("sigma", self.sigma)  # a cloud made up has none
-        law = shown or NoiseLaw(np.zeros(1), np.zeros(1))
-        law = law._replace(variances=np.maximum(law.variances, least**2))
+        at, variances = shown or (np.zeros(1), np.zeros(1))
+        law = partial(np.interp, xp=at, fp=np.maximum(variances, least**2))
         near = curve.neighbourhoods()  # by its own range alone a point that is measured too short has less noise
-        return law, law.at((np.bincount(near, ranges) / np.maximum(np.bincount(near), 1))[near])
+        return law, law((np.bincount(near, ranges) / np.maximum(np.bincount(near), 1))[near])
 
     def _fitting_variances(
-        self, law: NoiseLaw, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
+        self, law: Law, points: FloatArray, planes: FloatArray, labels: np.ndarray, eyes: FloatArray
     ) -> FloatArray:
         """For covariances, (S, B), m^2: what is stated, else that of points by how far their planes are along their
         beams; 1 of no return (NaN). By where a point was measured, alone or with its neighbours, those measured too
@@ -160,7 +164,7 @@ class CloudSearch:
             along, to_plane = (normals * away).sum(axis=-1), d - (normals * eyes).sum(axis=-1)
             share = np.divide(to_plane, along, out=np.ones(along.shape), where=(labels >= 0) & (along != 0.0))
             ranges = ranges * np.clip(share, 0.5, 2.0)
-        return np.where(here, law.at(ranges), 1.0)
+        return np.where(here, law(ranges), 1.0)
 
 
 def _errs_by_less(grid: FloatArray, sigmas: FloatArray) -> bool:

@@ -14,7 +14,7 @@ from spplanes.plane import Plane
 from spplanes.segmentation.config import MapperConfig
 from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import planes_of
-from spplanes.segmentation.sheet import Sheet, number_by_first_point
+from spplanes.segmentation.sheet import Sheet, by_first_point, renumbered
 
 _DEFAULT = MapperConfig()
 #: Coordinates beyond this are nobody's measurement, and their squares come to nothing, m.
@@ -105,8 +105,7 @@ def label_scans(
     segment_sheet(sheet, eyes, config)
     counts = np.bincount(sheet.labels[sheet.labels >= 0], minlength=1)
     kept = np.where(counts[sheet.labels] >= 3, sheet.labels, -1)  # all that borders may leave of a region is no plane
-    labels, _ = number_by_first_point(kept, len(sheet.rows))
-    return Labelled(grid, variance, labels, views, poses)
+    return Labelled(grid, variance, renumbered(kept, by_first_point(kept), len(sheet.rows)), views, poses)
 
 
 def as_grid(points: ArrayLike) -> tuple[FloatArray, np.ndarray]:

@@ -94,15 +94,11 @@ def drop_small(sheet: Sheet, config: MapperConfig) -> None:
     sheet.labels[~np.append(keep, True)[sheet.labels]] = -1
 
 
-def number_by_first_point(labels: np.ndarray, n_regions: int) -> tuple[np.ndarray, np.ndarray]:
-    """Labels 0..K-1 in the order of the first point of each region, shape of labels, and the regions kept, (K,)."""
-    flat = labels.ravel()
-    used = np.flatnonzero(flat >= 0)
-    first = np.full(n_regions, flat.size)
-    np.minimum.at(first, flat[used], used)
-    order = np.argsort(first, kind="stable")
-    order = order[first[order] < flat.size]
-    return renumbered(labels, order, n_regions), order
+def by_first_point(labels: np.ndarray) -> np.ndarray:
+    """Regions in the order of the first point of each, (K,); those without points are left out."""
+    regions, first = np.unique(labels, return_index=True)
+    order = regions[np.argsort(first)]
+    return order[order >= 0]
 
 
 def renumbered(labels: np.ndarray, kept: np.ndarray | list[int], n_regions: int) -> np.ndarray:

@@ -198,18 +198,15 @@ def shared_variances(rows, shared, free, planar, size, start):
 def cell_edges(node: np.ndarray, labels: np.ndarray, start: int, size: int) -> np.ndarray:
     """Pairs (E, 2) of neighbouring nodes: cells beside cells, and cells beside regions labelled already. Planar cells
     have the numbers `node`, (R, C), -1 = none, after those of regions; they begin at row `start` of the labels."""
-    n_rows, n_cols = node.shape
-    around = np.full((n_rows * size + 2, n_cols * size + 2), -1)  # a frame of points, and what cells lack at the ends
-    above = min(start, 1)
-    around[1 - above : 1 + len(labels) - start, 1 : 1 + labels.shape[1]] = labels[start - above :]
-    beside = np.full((n_rows, n_cols, 2 + 4 * size), -1)  # of every cell: the next ones, and its frame of points
-    beside[:, :-1, 0], beside[:-1, :, 1] = node[:, 1:], node[1:]
-    for k, side in enumerate((around[:-2:size], around[size + 1 :: size])):
-        beside[..., 2 + k * size : 2 + (k + 1) * size] = side[:, 1:-1].reshape(n_rows, n_cols, size)
-    for k, side in enumerate((around[:, :-2:size], around[:, size + 1 :: size]), 2):
-        of_rows = side[1:-1].reshape(n_rows, size, n_cols)
-        beside[..., 2 + k * size : 2 + (k + 1) * size] = of_rows.swapaxes(1, 2)
-    there = (node[..., None] >= 0) & (beside >= 0)
-    there[..., 1:] &= beside[..., 1:] != beside[..., :-1]  # runs are counted once
-    cell = np.nonzero(there)[:2]
-    return np.sort(np.stack((node[cell], beside[there]), axis=1), axis=1)
+    n_rows, n_cols = size * np.array(node.shape)
+    around = np.full((n_rows + 2, n_cols + 2), -1)  # a frame of points, and what cells lack at the ends
+    around[start == 0 : 1 + len(labels) - start, 1 : 1 + labels.shape[1]] = labels[max(start - 1, 0) :]
+    i, j = np.nonzero(node >= 0)
+    me, beyond = node[i, j], np.pad(node, (0, 1), constant_values=-1)
+    top, left, inside = size * i[:, None], size * j[:, None], np.arange(1, size + 1)
+    frame = around[top, left + inside], around[top + size + 1, left + inside]
+    frame += around[top + inside, left], around[top + inside, left + size + 1]
+    beside = np.column_stack((beyond[i, j + 1], beyond[i + 1, j], *frame))
+    there = beside >= 0
+    there[:, 1:] &= beside[:, 1:] != beside[:, :-1]  # runs are counted once
+    return np.sort(np.stack((np.repeat(me, there.sum(axis=1)), beside[there]), axis=1), axis=1)

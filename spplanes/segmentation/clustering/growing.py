@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from scipy import ndimage
 
 from spplanes._jit import njit
 from spplanes._threads import in_parts, threads_for
@@ -88,7 +87,12 @@ def grow(grid, planes, gate, floor_variance):
     _, _, valid, labels, start = grid
     free = valid & (labels < 0)
     free[:start] = False
-    sources = np.flatnonzero(ndimage.binary_dilation(free) & (labels >= 0))  # beside free ones
+    beside = np.zeros_like(free)
+    beside[1:] |= free[:-1]
+    beside[:-1] |= free[1:]
+    beside[:, 1:] |= free[:, :-1]
+    beside[:, :-1] |= free[:, 1:]
+    sources = np.flatnonzero(beside & (labels >= 0))
     queue = np.empty(labels.size, dtype=np.int64)
     queue[: sources.size] = sources
     _grow_from(queue, sources.size, grid, planes, gate, floor_variance)

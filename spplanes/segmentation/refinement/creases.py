@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from scipy import ndimage
 
-from spplanes._jit import inlined, inner, njit
+from spplanes._jit import inlined, njit
 from spplanes._threads import in_parts
 from spplanes.fitting._moment_patches import distance_of, variance_from
 
@@ -84,59 +84,36 @@ def unlabel_seams(grid, views, planes, tolerance, flatness, reach, limit):
     noise. Where it parts a region, there are two; where it does not, the region grows over it again. Where surfaces are
     granted more than the noise (`flatness`, m), nothing hides in it, and what shows are the surfaces' own waves.
     """
-    _, _, _, labels, start = grid
-    weight, moment = np.zeros(labels.shape), np.zeros(labels.shape)
-    rule = tolerance, flatness, reach, limit
-
-    def down(first: int, last: int) -> None:
-        columns = (labels[:, first:last].T.copy(), weight[:, first:last].T.copy(), moment[:, first:last].T.copy())
-        _judge_columns(grid, views, planes, rule, first, last, columns)
-
-    in_parts(partial(_weigh_rows, grid, planes, reach, (weight, moment)), len(labels) - start, labels.size)
-    in_parts(down, labels.shape[1], labels.size)
+    labels, start = grid[3:]
+    variance, distance = np.full(labels.shape, np.inf), np.zeros(labels.shape)
+    in_parts(partial(_measure_rows, grid, planes, variance, distance), len(labels) - start, labels.size)
+    weight, moment = (
+        _sums_along(_sums_along(one, labels, reach).T.copy(), labels.T.copy(), reach).T
+        for one in (1.0 / variance, 1.0 / variance * distance)
+    )
+    x, y, z, d = np.moveaxis(planes[labels], -1, 0)
+    eye = views[:, :1] * x + views[:, 1:2] * y + views[:, 2:] * z - d
+    shows = (variance > flatness * flatness) & (moment**2 > limit * weight * (1.0 + tolerance[labels] * weight))
+    labels[shows & (moment * eye < 0.0)] = -1
 
 
 @njit(cache=True)
-def _weigh_rows(grid, planes, reach, sums, first, last):
-    """Sums along the fresh rows from first to last of weights, and of distances from planes times these."""
-    (points, covariance, _, labels, start), (weight, moment) = grid, sums
-    first, last = start + first, start + last
-    own_weight, own_moment = np.zeros((last - first, labels.shape[1])), np.zeros((last - first, labels.shape[1]))
-    for i in range(first, last):
+def _measure_rows(grid, planes, variance, distance, first, last):
+    """Distances of the points in the fresh rows from first to last from their planes, and their variances, in place."""
+    points, covariance, _, labels, start = grid
+    for i in range(start + first, start + last):
         for j in range(labels.shape[1]):
             r = labels[i, j]
             if r >= 0:
-                w = 1.0 / variance_from(covariance, i, j, planes, r)
-                own_weight[i - first, j], own_moment[i - first, j] = w, w * distance_of(points, i, j, planes, r)
-    _sum_along(own_weight, labels[first:last], reach, weight[first:last])
-    _sum_along(own_moment, labels[first:last], reach, moment[first:last])
+                variance[i, j] = variance_from(covariance, i, j, planes, r)
+                distance[i, j] = distance_of(points, i, j, planes, r)
 
 
 @njit(cache=True)
-def _judge_columns(grid, views, planes, rule, first, last, columns):
-    """Unlabel the points of the columns from first to last where the mean of their window lies behind the plane;
-    `columns` are their labels and the sums along the rows, one column after the other."""
-    (_, covariance, _, labels, start), (own_labels, weight, moment) = grid, columns
-    tolerance, flatness, reach, limit = rule
-    own_weight, own_moment = np.zeros(weight.shape), np.zeros(moment.shape)
-    _sum_along(weight, own_labels, reach, own_weight)
-    _sum_along(moment, own_labels, reach, own_moment)
-    for i in range(start, labels.shape[0]):
-        for j in range(first, last):
-            r = labels[i, j]
-            if r < 0 or variance_from(covariance, i, j, planes, r) <= flatness * flatness:
-                continue
-            w, m = own_weight[j - first, i], own_moment[j - first, i]
-            if m**2 > limit * w * (1.0 + tolerance[r] * w):
-                eye = views[i, 0] * planes[r, 0] + views[i, 1] * planes[r, 1] + views[i, 2] * planes[r, 2]
-                if m * (eye - planes[r, 3]) < 0.0:
-                    labels[i, j] = -1
-
-
-@inner(cache=True)
-def _sum_along(values, labels, reach, result):
-    """Write sums of the values within reach along every row that lie in the same run of equal labels; else nothing."""
+def _sums_along(values, labels, reach):
+    """Sums of the values within reach along every row that lie in the same run of equal labels; 0 of no region."""
     n_rows, n_cols = values.shape
+    result = np.zeros(values.shape)
     for i in range(n_rows):
         end = 0
         while end < n_cols:
@@ -154,6 +131,7 @@ def _sum_along(values, labels, reach, result):
                 if j - reach - 1 >= begin:
                     total -= values[i, j - reach - 1]
                 result[i, j] = total
+    return result
 
 
 def split_regions(labels: np.ndarray, start: int, n_regions: int) -> np.ndarray:

@@ -4,41 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from spplanes._jit import inlined, njit
+from spplanes._jit import njit
 from spplanes.fitting._moment_patches import residual_chi2
 
 #: Points are explained block by block, this many on a side: a point alone always finds some plane that suits it.
 BLOCK = 4
 
 
-@njit(cache=True)
 def dissolve(grid, sizes, order, pairs, planes, floor_variance):
     """Give the points of superfluous regions to their neighbours, in place; how many regions are dissolved. `sizes`
     (R,) become 0 for those, `order` (R,) has the smallest first, `pairs` (E, 2) are near each other, each once. Regions
     with points before the first row to work on stay; `floor_variance`, m^2, is added to that of every point."""
-    _, _, _, labels, start = grid
-    members, first = _members(labels, start, sizes.shape[0])
-    candidates, hosts = np.empty(sizes.shape[0], dtype=np.int64), np.empty(members.shape[0], dtype=np.int64)
-    fixed = np.zeros(sizes.shape[0], dtype=np.bool_)
-    for i in range(start):
-        for j in range(labels.shape[1]):
-            if labels[i, j] >= 0:
-                fixed[labels[i, j]] = True
-    count = 0
-    for r in order:
-        n = first[r + 1] - first[r]
-        if n == 0 or fixed[r]:
-            continue
-        n_candidates = 0
-        for e in range(pairs.shape[0]):
-            other = pairs[e, 1] if pairs[e, 0] == r else (pairs[e, 0] if pairs[e, 1] == r else -1)
-            if other >= 0 and sizes[other] > sizes[r]:
-                candidates[n_candidates] = other
-                n_candidates += 1
-        mine = members[first[r] : first[r + 1]]
-        if n_candidates and _is_superfluous(grid, mine, r, candidates[:n_candidates], planes, floor_variance, hosts):
-            for k in range(n):
-                labels[mine[k] // labels.shape[1], mine[k] % labels.shape[1]] = hosts[k // (BLOCK * BLOCK)]
+    labels, start = grid[3:]
+    members, first = _members(labels, start, len(sizes))
+    both = pairs[:, [0, 1, 1, 0]].reshape(-1, 2)  # one way and the other
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    beside, count = np.searchsorted(both[:, 0], np.arange(len(sizes) + 1)), 0
+    hosts = np.empty(len(members), dtype=np.int64)  # of every block
+    for r in order[~np.isin(order, labels[:start])].tolist():
+        mine, others = members[first[r] : first[r + 1]], both[beside[r] : beside[r + 1], 1]
+        larger = others[sizes[others] > sizes[r]]
+        if len(mine) and len(larger) and _is_superfluous(grid, mine, r, larger, planes, floor_variance, hosts):
+            labels.flat[mine] = hosts[np.arange(len(mine)) // BLOCK**2]
             sizes[r] = 0
             count += 1
     return count
@@ -60,7 +47,7 @@ def near_pairs(labels: np.ndarray, gap: int) -> np.ndarray:
     return pairs[pairs[:, 0] < pairs[:, 1]]
 
 
-@inlined
+@njit(cache=True)
 def _members(labels, start, n_regions):
     """Points of every region in the order of their blocks, as flat indices, and where each region begins."""
     first = np.zeros(n_regions + 1, dtype=np.int64)
@@ -82,7 +69,7 @@ def _members(labels, start, n_regions):
     return members, first
 
 
-@inlined
+@njit(cache=True)
 def _is_superfluous(grid, mine, region, candidates, planes, floor_variance, hosts):
     """Whether the best candidate for every block, written to `hosts`, explains the points nearly as well as the region.
     A plane of its own must lower the mean chi2 of its points by 0.15, and the sum by what three parameters gain by

@@ -44,11 +44,8 @@ def surest_bend(places: FloatArray, residuals: FloatArray, weights: FloatArray) 
 
     A region that runs a little way round a blunt corner, or onto the next wall a few millimetres before it, tilts
     between both, and what is left of its residuals hides in the noise of every point and of every patch; not in that of
-    all points beyond. None where there are too few cells with points to tell one.
-
-    Args:
-        places: of the points on the plane, shape (N, 2), m; their noise must not go with that of the residuals.
-        residuals, weights: along the normal, shape (N,), m and 1 / m^2.
+    all points beyond. None where there are too few cells with points to tell one. Places (N, 2) are on the plane, m;
+    their noise must not go with that of the residuals (N,) along its normal, m, with weights (N,), 1 / m^2.
     """
     cells = _cells_of(places, residuals, weights)
     if len(cells) < 2 * _FEWEST:

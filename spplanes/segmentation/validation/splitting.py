@@ -89,12 +89,9 @@ def parts_of(
 
     A step of a few centimetres hides in the noise of the points, most of all when the plane tilts to meet both sides;
     not in that of all points beyond it. The points are parted where a step explains the residuals best, until no step
-    is left, and parts between which there is none become one again.
-
-    Args:
-        members: the points, ascending flat indices of the window, shape (N,).
-        frame: of the plane that was fitted to them, shape (4, 4).
-        uneven_m, step_m: standard deviation of surfaces from planes, m; smaller steps are none, m.
+    is left, and parts between which there is none become one again. Members are ascending flat indices of the window,
+    (N,), the frame is of the plane that was fitted to them; surfaces deviate by `uneven_m` from planes (one sigma),
+    smaller steps than `step_m` are none.
     """
     cut = _cutter(window, members, frame, uneven_m, step_m)
     parts, unsure = [], [np.arange(len(members))]
