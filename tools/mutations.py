@@ -397,7 +397,7 @@ spplanes/segmentation/validation/bends.py  tests/slam/frontend/test_measurement.
 
 measurement: steps are looked for as bends are
 spplanes/segmentation/validation/bends.py  tests/slam/frontend/test_measurement.py -k no_bend
--np.repeat((0.0, _OF_STEPS), places.size)
+-np.repeat((0.0, 4.6), places.size)
 +np.repeat((0.0, 0.0), places.size)
 
 lines are looked for once, by less noise than beams have

@@ -18,8 +18,6 @@ from spplanes.clouds.scatter import misses_of
 #: Rows and columns, in a whole turn, of the range images that are tried.
 _ROWS = (16, 32, 40, 48, 64, 80, 96, 128, 192, 256, 384, 512)
 _COLUMNS = (180, 256, 360, 512, 720, 900, 1024, 1440, 1800, 2048, 3600, 4096)
-#: Of shapes that spread the points this well beside the best, the one with the squarest cells is taken.
-_AS_GOOD = 0.95
 
 
 @dataclass(frozen=True)
@@ -122,9 +120,9 @@ def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.nda
     phases = _phases_of(azimuth, np.array(_COLUMNS))
     columns = {count: _columns_of(azimuth, count, phase) for count, phase in zip(_COLUMNS, phases, strict=True)}
     shapes = [(min(r * c, len(azimuth) ** 2 / (r * c)), -k, r, c) for k, (r, c) in enumerate(product(_ROWS, _COLUMNS))]
-    best, tried = 0.0, []
+    best, tried, as_good = 0.0, [], 0.95
     for bound, order, r, c in sorted(shapes, reverse=True):
-        if bound < _AS_GOOD * best:
+        if bound < as_good * best:
             break
         seen = np.zeros(r * c, dtype=bool)
         seen[rows[r] * c + columns[c]] = True
@@ -132,7 +130,7 @@ def _best_grid(elevation: FloatArray, azimuth: FloatArray) -> tuple[Grid, np.nda
         best = max(best, score)
         tried.append((score, order, Grid(r, c)))
     height = float(ends[0] - ends[1])
-    good = [one for one in tried if one[0] >= _AS_GOOD * best]
+    good = [one for one in tried if one[0] >= as_good * best]
     grid = min(good, key=lambda one: (one[2].stretch(height), -one[1]))[2]
     return grid, rows[grid.rows], columns[grid.columns]
 

@@ -12,7 +12,6 @@ from spplanes._threads import in_parts
 
 #: A cell is (region, i, j) in one int64: 21 bits for each of i and j, offset to be positive.
 _BITS, _OFFSET = 21, 1 << 20
-_MASK = (1 << _BITS) - 1
 #: A region with a larger raster than this, cells, is drawn with larger ones.
 LARGEST_RASTER = 1 << 20
 
@@ -190,8 +189,8 @@ def keys_of(filled: np.ndarray, first: np.ndarray, corner: np.ndarray, shape: np
 
 def cells_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Region (K,) and cell (K, 2) of every key."""
-    cells = np.stack(((keys >> _BITS & _MASK) - _OFFSET, (keys & _MASK) - _OFFSET), axis=1)
-    return keys >> (2 * _BITS), cells
+    places = np.stack((keys >> _BITS, keys), axis=1) & (1 << _BITS) - 1
+    return keys >> (2 * _BITS), places - _OFFSET
 
 
 def distinct(codes: np.ndarray) -> np.ndarray:

@@ -13,10 +13,9 @@ from spplanes.fitting.rounding import coordinate_steps
 from spplanes.plane import Plane
 from spplanes.segmentation.cloud_search import CloudSearch, Found
 from spplanes.segmentation.config import MapperConfig, ValidationConfig
+from spplanes.segmentation.scans import DEFAULT
 from spplanes.segmentation.sheet import means_of
 from spplanes.segmentation.validation.one_plane import could_be_seen
-
-_DEFAULT = MapperConfig()
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def segment_cloud(
     sigma: float | None = None,
     viewpoint: ArrayLike | None = None,
     normals: ArrayLike | None = None,
-    config: MapperConfig = _DEFAULT,
+    config: MapperConfig = DEFAULT,
 ) -> CloudPlanes:
     """Planes of one cloud, and the plane of every point.
 

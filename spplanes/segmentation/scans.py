@@ -16,7 +16,7 @@ from spplanes.segmentation.pipeline import segment_sheet
 from spplanes.segmentation.planes import planes_of
 from spplanes.segmentation.sheet import Sheet, by_first_point, renumbered
 
-_DEFAULT = MapperConfig()
+DEFAULT = MapperConfig()
 #: Coordinates beyond this are nobody's measurement, and their squares come to nothing, m.
 FARTHEST_M = 1e12
 #: Noise below this makes weights that no arithmetic survives, m.
@@ -28,7 +28,7 @@ def segment_scans(
     covariances: ArrayLike | None = None,
     *,
     sigma: ArrayLike | None = None,
-    config: MapperConfig = _DEFAULT,
+    config: MapperConfig = DEFAULT,
     viewpoints: ArrayLike | None = None,
     pose_covariances: ArrayLike | None = None,
     scan_origins: ArrayLike | None = None,
@@ -83,7 +83,7 @@ def label_scans(
     points: ArrayLike,
     covariances: ArrayLike | None = None,
     sigma: ArrayLike | None = None,
-    config: MapperConfig = _DEFAULT,
+    config: MapperConfig = DEFAULT,
     viewpoints: ArrayLike | None = None,
     pose_covariances: ArrayLike | None = None,
     scan_origins: ArrayLike | None = None,

@@ -27,13 +27,6 @@ def cell_moments(points, covariance, free, size, floor_variance):
     return rows
 
 
-@inlined
-def _is_filled(count, ci, cj, shape, size):
-    """Whether a cell has enough points to be judged."""
-    area = min(size, shape[0] - ci * size) * min(size, shape[1] - cj * size)
-    return count >= max(0.4 * area, 4.0)
-
-
 @njit(cache=True)
 def _moments_of(rows, cells, first, last):
     """The moments of the rows of cells from first to last; `cells` are the arguments of `cell_moments`."""
@@ -47,7 +40,8 @@ def _moments_of(rows, cells, first, last):
                 for j in range(cj * size, min((cj + 1) * size, free.shape[1])):
                     counts[cj] += free[i, j]
         for cj in range(rows.shape[1]):
-            if _is_filled(counts[cj], ci, cj, free.shape, size):
+            area = min(size, free.shape[0] - ci * size) * min(size, free.shape[1] - cj * size)
+            if counts[cj] >= max(0.4 * area, 4.0):
                 _one_cell(rows[ci, cj], cells, ci * size, cj * size)
 
 
@@ -90,14 +84,14 @@ def failed_quads(free, quads, size):
 
 
 @njit(cache=True)
-def planar_cells(rows, failed, shape, size, quantile, slack):
+def planar_cells(rows, failed, size, quantile, slack):
     """Cells whose points fit one plane: filled, without jumps, residuals as noise explains; shape (R, C) bool."""
     planar = np.zeros(rows.shape[:2], dtype=np.bool_)
     for ci in range(rows.shape[0]):
         for cj in range(rows.shape[1]):
             row = rows[ci, cj]
             dof = row[0] - 3.0
-            if not _is_filled(row[0], ci, cj, shape, size) or failed[ci, cj] > size // 2:
+            if row[0] == 0.0 or failed[ci, cj] > size // 2:
                 continue
             spread = 2.0 / (9.0 * dof)
             limit = slack * dof * (1.0 - spread + quantile * np.sqrt(spread)) ** 3

@@ -30,7 +30,7 @@ def join_cells(sheet: Sheet, quads: np.ndarray, size: int, config: MapperConfig)
     given = sheet.points[sheet.fresh], sheet.covariance[sheet.fresh], free, size, floor
     moments = cells.cell_moments(*given)
     failed = cells.failed_quads(free, quads, size)
-    planar = cells.planar_cells(moments, failed, free.shape, size, -ndtri(config.significance), CELL_SLACK)
+    planar = cells.planar_cells(moments, failed, size, -ndtri(config.significance), CELL_SLACK)
     shared = sheet.shared[sheet.fresh] if len(sheet.shared) > 1 else sheet.shared
     if size > cells.STRIPS and len(shared) == 1:
         limit = CELL_SLACK * chdtri(1, config.significance / (2 * cells.STRIPS))

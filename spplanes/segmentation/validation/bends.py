@@ -10,8 +10,6 @@ from spplanes._check import FloatArray
 
 #: Cells along either side of a plane, by whose means bends are told, and fewest on either side of one.
 _CELLS, _FEWEST = 12, 2
-#: Chi2 by which a step must be surer than a bend: ten times as many tell apart, and 2 log 10 is 4.6.
-_OF_STEPS = 4.6
 
 
 class Bend(NamedTuple):
@@ -73,7 +71,8 @@ def _surest(cells: FloatArray, angles: FloatArray, shares: FloatArray) -> tuple[
     shape, left = (root * one - basis @ (basis.T @ (root * one)) for one in (shape, mean[:, None]))
     least = 1e-12 * weight.sum() * np.tile(high - low, 2 * len(shares)) ** 2
     information, pull = np.maximum((shape**2).sum(axis=0), least), (shape * left).sum(axis=0)
-    chi2 = pull**2 / information - np.repeat((0.0, _OF_STEPS), places.size)
+    # a step must be surer than a bend: ten times as many tell apart, and 2 log 10 is 4.6
+    chi2 = pull**2 / information - np.repeat((0.0, 4.6), places.size)
     best = int(np.argmax(chi2))
     column, most = best % len(angles), float(np.abs(shape[:, best] / root[:, 0]).max())
     by_place = chi2.reshape(2, *places.shape)[:, :, column].max(axis=0)
