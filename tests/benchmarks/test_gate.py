@@ -44,20 +44,22 @@ def test_accuracy_is_that_of_ours_alone_and_grows_as_it_gets_worse():
     assert found == pytest.approx(dict(zip(names, (7.0, 1.0, 0.03), strict=True)))
 
 
-def test_accuracy_has_its_slack_and_no_more():
-    name, slack = "scenes: frame: purity, %", _gate.ACCURACY["purity, %"].slack
-    for more, expected in ((0.9 * slack, 0), (1.1 * slack, 1)):
-        verdict = _gate.judge(figures(accuracy={name: 1.1 + more}), figures(accuracy={name: 1.0}))
-        assert verdict.exit_code == expected
+PURITY, SLACK = "scenes: frame: purity, %", _gate.ACCURACY["purity, %"].slack
 
 
-def test_a_figure_that_is_no_number_is_a_regression():
-    assert _gate.judge(figures(time={"a": float("nan")}), figures(time={"a": 0.5})).exit_code == 1
-
-
-def test_what_was_not_measured_is_no_regression_but_said():
-    verdict = _gate.judge(figures(time={"new": 9.0}), figures(time={"a": 0.5}))
-    assert (verdict.missing, verdict.compared, verdict.exit_code) == (["a"], 0, 0)
+@pytest.mark.parametrize(
+    ("measured", "kept", "expected"),
+    [
+        ({"accuracy": {PURITY: 1.1 + 0.9 * SLACK}}, {"accuracy": {PURITY: 1.0}}, (0, [], 1)),
+        ({"accuracy": {PURITY: 1.1 + 1.1 * SLACK}}, {"accuracy": {PURITY: 1.0}}, (1, [], 1)),
+        ({"time": {"a": float("nan")}}, {"time": {"a": 0.5}}, (1, [], 1)),
+        ({"time": {"new": 9.0}}, {"time": {"a": 0.5}}, (0, ["a"], 0)),
+    ],
+    ids=["within the slack", "beyond it", "no number", "not measured"],
+)
+def test_what_is_a_regression(measured, kept, expected):
+    verdict = _gate.judge(figures(**measured), figures(**kept))
+    assert (verdict.exit_code, verdict.missing, verdict.compared) == expected
 
 
 def test_results_are_kept_of_every_gated_workload():

@@ -10,6 +10,7 @@ from slam.sensors.rig import Mount, Sensor
 from slam.simulation.record import noisy_ranges
 from slam.simulation.robots import BEAMS, HORIZONTAL, SPINNING, VERTICAL, Beams, paper_rig, spinning_rig
 from spplanes._check import FloatArray
+from spplanes.noise import DepthCameraModel
 
 #: Names of the sensors that `rigs` does not have.
 LIDAR, CAMERA = "lidar", "camera"
@@ -19,8 +20,8 @@ _STEPS = 900
 _ROWS, _COLUMNS, _FOCAL = 120, 160, 145.0
 #: Way between two scans, m: of the paper's lasers as there, of lidars, of depth images.
 _SLICES_M, _LINES_M, _CLOUDS_M, _IMAGES_M = 0.027, 0.108, 0.5, 0.25
-#: Standard deviation of the depth of a Kinect at depth z: a + b (z - c)^2, m.
-_AXIAL = (0.0012, 0.0019, 0.4)
+#: Standard deviations of the depths of a Kinect, m.
+depth_sigma = DepthCameraModel().depth_sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +44,6 @@ class Sensing:
         read = depth + depth_sigma(depth) * rng.standard_normal(ranges.shape)
         seen = (read > self.sensor.range_min_m) & (read < self.sensor.range_max_m)
         return np.where(seen, read / ahead, np.nan)
-
-
-def depth_sigma(depth_m: FloatArray) -> FloatArray:
-    """Standard deviation of a depth, m.
-
-    References:
-        Nguyen, Izadi, Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking", 3DIMPVT 2012.
-    """
-    a, b, c = _AXIAL
-    return a + b * (depth_m - c) ** 2
 
 
 def _level() -> Sensing:

@@ -72,14 +72,9 @@ def test_corridor_has_whole_floor_ceiling_and_left_wall(index):
     assert 2e-4 < np.sqrt(floor.covariance[0, 0]) < 0.015
     off = [p.n_points for k, p in enumerate(planes) if np.std(p.distance(points[labels == k])) > 0.04]
     assert sum(off) < 0.06 * returns.sum()
-
-
-def test_corridor_frames_at_other_depths_are_planes_of_their_own():
-    needs("3dtk_corridor")
-    _, planes = segmented(scenes.corridor_scan(DATA, 0), scenes.CORRIDOR_SENSOR)
-    across = np.sort([p.d for p in planes if p.normal[1] < -0.99 and p.n_points > 500 and p.d < -3.0])
-    assert len(across) >= 3
-    assert (np.diff(across) > 0.05).all()
+    if index == 0:  # door frames at other depths are planes of their own
+        across = np.sort([p.d for p in planes if p.normal[1] < -0.99 and p.n_points > 500 and p.d < -3.0])
+        assert len(across) >= 3 and (np.diff(across) > 0.05).all()
 
 
 def pieces(planes, normal_z):
