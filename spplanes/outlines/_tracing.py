@@ -97,25 +97,18 @@ def _trace(filled, n_cells):
                 a, b = i + (d == 3) - (d == 1), j + (d == 0) - (d == 2)
                 right = (d + 3) % 4
                 c, e = a + (right == 3) - (right == 1), b + (right == 0) - (right == 2)
-                if not filled[a, b]:
-                    vertices[n_vertices, 0], vertices[n_vertices, 1] = _corner(i, j, d)
+                if not filled[a, b] or filled[c, e]:  # a corner, at the end of the side
+                    vertices[n_vertices, 0], vertices[n_vertices, 1] = i + (d == 0 or d == 3), j + (d < 2)
                     n_vertices += 1
+                if not filled[a, b]:
                     d = (d + 1) % 4
                 elif filled[c, e]:
-                    vertices[n_vertices, 0], vertices[n_vertices, 1] = _corner(i, j, d)
-                    n_vertices += 1
                     i, j, d = c, e, right
                 else:
                     i, j = a, b
             ends[n_rings] = n_vertices
             n_rings += 1
     return vertices[:n_vertices], ends[:n_rings]
-
-
-@inlined
-def _corner(i, j, d):
-    """End of the side of cell (i, j) that is walked in direction d, the cell on its left."""
-    return float(i + (d == 0 or d == 3)), float(j + (d < 2))
 
 
 @inlined

@@ -75,10 +75,7 @@ def shared_of_regions(shared, labels, planes):
                 total[r, 1] += i
                 if shared.shape[0] > 1:
                     total[r, 0] += variance_from(shared, i, j, planes, r)
-    for r in range(planes.shape[0]):
-        for k in range(2):
-            total[r, k] /= max(count[r], 1.0)
-    return total
+    return total / np.maximum(count, 1.0).reshape(-1, 1)
 
 
 def grow(grid, planes, gate, floor_variance):
