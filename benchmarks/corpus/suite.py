@@ -120,13 +120,8 @@ class Suite:
         return min(doors, key=lambda door: abs(door.start_m + door.end_m - 2.0 * x))
 
     def world(self, floor_m: float = 0.0) -> PolygonWorld:
-        """Its surfaces, with the floor at a height."""
+        """Its surfaces, with the floor at a height: floor and ceiling one plane each, every face of a wall one."""
         builder = PolygonBuilder()
-        self.add_to(builder, floor_m)
-        return builder.build()
-
-    def add_to(self, builder: PolygonBuilder, floor_m: float = 0.0) -> None:
-        """Add its surfaces to a world: floor and ceiling one plane each, every face of a wall one."""
         spaces = [self.corridor, *self.rooms]
         levels: list[int | None] = [None, None]
         for room in spaces:
@@ -138,6 +133,7 @@ class Suite:
         for room in spaces:
             for side in range(4):
                 self._add_face(builder, room, side, floor_m)
+        return builder.build()
 
     def _add_face(self, builder: PolygonBuilder, room: SuiteRoom, side: int, floor_m: float) -> None:
         """One of the four walls of a room, with a notch for every doorway in it."""
