@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import shapely
@@ -21,8 +21,6 @@ _TILE_M, _LAP_M = 4.0, 0.05
 _AT_ONCE = 4
 #: Outlines are simplified to this after every union, m: far below any gap that association looks at.
 _TOLERANCE_M = 0.01
-
-Key = TypeVar("Key")
 
 
 class Extent:
@@ -125,7 +123,8 @@ class Extent:
         new = [key for key in pieces if key not in self._tiles]
         grown = dict(zip(new, all_valid([pieces[key] for key in new]), strict=True))
         known = [key for key in pieces if key in self._tiles]
-        grown.update(grow_all([self._tiles[key] for key in known], [pieces[key] for key in known], known))
+        larger = grow_all([self._tiles[key] for key in known], [pieces[key] for key in known])
+        grown.update((known[k], one) for k, one in larger.items())
         if not grown:
             return
         self._whole = None
@@ -172,16 +171,13 @@ def grow(outline: BaseGeometry, patch: BaseGeometry) -> BaseGeometry:
     return shapely.union(valid(outline), valid(patch)).simplify(_TOLERANCE_M)
 
 
-def grow_all(
-    outlines: Sequence[BaseGeometry], patches: Sequence[BaseGeometry], names: Sequence[Key]
-) -> dict[Key, BaseGeometry]:
-    """`grow` of many valid outlines at once, those by name that do not cover their patch already; valid again."""
+def grow_all(outlines: Sequence[BaseGeometry], patches: Sequence[BaseGeometry]) -> dict[int, BaseGeometry]:
+    """`grow` of many valid outlines at once, those by number that do not cover their patch already; valid again."""
     here, there = np.array(outlines, dtype=object), np.array(patches, dtype=object)
-    new = np.flatnonzero(~shapely.covers(here, there))
+    new = np.flatnonzero(~shapely.covers(here, there)).tolist()
     simple = all_valid(shapely.simplify(shapely.union(here[new], all_valid(there[new])), _TOLERANCE_M))
-    grown = {names[k]: one for k, one in zip(new.tolist(), simple, strict=True)}
-    lines = [k for k in new.tolist() if outlines[k].geom_type == "LineString"]
-    return grown | {names[k]: grow(outlines[k], patches[k]) for k in lines}
+    grown = dict(zip(new, simple, strict=True))
+    return grown | {k: grow(outlines[k], patches[k]) for k in new if outlines[k].geom_type == "LineString"}
 
 
 def all_valid(geometries: Sequence[BaseGeometry] | np.ndarray) -> np.ndarray:

@@ -203,4 +203,5 @@ def cell_edges(node: np.ndarray, labels: np.ndarray, start: int, size: int) -> n
     beside = np.column_stack((beyond[i, j + 1], beyond[i + 1, j], *frame))
     there = beside >= 0
     there[:, 1:] &= beside[:, 1:] != beside[:, :-1]  # runs are counted once
-    return np.sort(np.stack((np.repeat(me, there.sum(axis=1)), beside[there]), axis=1), axis=1)
+    one, other = np.repeat(me, there.sum(axis=1)), beside[there]
+    return np.stack((np.minimum(one, other), np.maximum(one, other)), axis=1)

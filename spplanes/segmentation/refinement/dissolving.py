@@ -39,12 +39,14 @@ def near_pairs(labels: np.ndarray, gap: int) -> np.ndarray:
         first = np.flatnonzero(np.diff(regions, prepend=-2))
         last = np.append(first[1:], regions.size) - 1
         first, last, regions = (one[regions[first] >= 0] for one in (first, last, regions[first]))
-        ahead = 1  # runs of equal labels, each with those that follow it, until none is near enough
-        while (near := first[ahead:] - last[:-ahead] <= gap).any():
-            found.append(np.stack((regions[:-ahead], regions[ahead:]), axis=1)[near])
+        runs, ahead = np.arange(len(first)), 0
+        while len(runs):  # of equal labels, each with those that follow it, until none is near enough
             ahead += 1
-    pairs = np.sort(np.concatenate(found), axis=1)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
+            runs = runs[: np.searchsorted(runs, len(first) - ahead)]
+            runs = runs[first[runs + ahead] - last[runs] <= gap]
+            found.append(np.stack((regions[runs], regions[runs + ahead]), axis=1))
+    one, other = np.concatenate(found).T
+    return np.stack((np.minimum(one, other), np.maximum(one, other)), axis=1)[one != other]
 
 
 @njit(cache=True)
