@@ -94,6 +94,35 @@ def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, va
 
 
 @inner(cache=True)
+def column(frame, k: int) -> tuple[float, float, float]:
+    """An axis of a frame, or its origin, k = 3."""
+    return frame[0, k], frame[1, k], frame[2, k]
+
+
+@inner(cache=True)
+def dot(a, b) -> float:
+    """Scalar product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inner(cache=True)
+def times(matrix, v) -> tuple[float, float, float]:
+    """Product of a symmetric matrix, whose upper triangle is read, and a vector."""
+    return (
+        matrix[0, 0] * v[0] + matrix[0, 1] * v[1] + matrix[0, 2] * v[2],
+        matrix[0, 1] * v[0] + matrix[1, 1] * v[1] + matrix[1, 2] * v[2],
+        matrix[0, 2] * v[0] + matrix[1, 2] * v[1] + matrix[2, 2] * v[2],
+    )
+
+
+@inner(cache=True)
+def in_frame(points, i: int, frame) -> tuple[float, float, float]:
+    """Coordinates of a point in a frame."""
+    off = points[i, 0] - frame[0, 3], points[i, 1] - frame[1, 3], points[i, 2] - frame[2, 3]
+    return dot(column(frame, 0), off), dot(column(frame, 1), off), dot(column(frame, 2), off)
+
+
+@inner(cache=True)
 def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Solution of a positive definite 3x3 system, `matrix` its upper triangle, by L D L^T; NaN or infinity if
     singular."""

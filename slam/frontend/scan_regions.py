@@ -49,7 +49,7 @@ class ScanPart:
 
         Nothing is checked again: they come from a segmentation, which has looked at points and covariances.
         """
-        job, n = FitJob(self.points, self.blurred, 1, viewpoint, "ml", None, None), len(self.points)
+        job, n = FitJob(self.points, self.blurred, viewpoint), len(self.points)
         fits = fit_groups(job, np.arange(n), np.array([0, n]))
         return fits.planes()[0] if fits.status[0] == OK else None
 

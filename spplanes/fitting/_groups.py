@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_positive, as_shape
 from spplanes._jit import njit
-from spplanes._rows import NO_VIEWPOINT, OK, ROW_SIZE, row_frame
+from spplanes._rows import NO_VIEWPOINT, OK, ROW_SIZE, TOO_FEW, row_frame
 from spplanes._threads import in_parts
 from spplanes.fitting import _kernels as kernels
 from spplanes.fitting._point_checks import LARGEST_VARIANCE, SMALLEST_VARIANCE, as_covariances, as_points
 from spplanes.fitting._robust import CUTOFF, FRACTIONS, robust_group
 from spplanes.fitting._shared_pose import SharedPose, fit_shared_pose, sp_pose_term, with_pose_errors
-from spplanes.fitting._sums import CHI2, N_SUMS, USED, start_row
+from spplanes.fitting._sums import N_SUMS, start_row
 from spplanes.plane import Plane
 
 Method = Literal["ml", "sp"]
@@ -30,12 +30,11 @@ class FitJob:
 
     points: FloatArray
     covariances: FloatArray
-    step: int
     viewpoint: FloatArray
     """Shape (3,), m; NaN for none."""
-    method: Method
-    robust: Robust | None
-    shared: SharedPose | None
+    method: Method = "ml"
+    robust: Robust | None = None
+    shared: SharedPose | None = None
     """The pose errors that points of one scan share."""
 
     @classmethod
@@ -57,29 +56,29 @@ class FitJob:
         if robust and method == "sp":
             raise ValueError(f"robust: expected None with method 'sp', got {robust!r}")
         array = as_points("points", points)
-        noise, step = _covariances(covariances, sigma, len(array))
+        noise = _covariances(covariances, sigma, len(array))
         eye = NO_VIEWPOINT if viewpoint is None else as_shape("viewpoint", viewpoint, (3,))
         shared = SharedPose.checked(array, *poses)
-        return cls(array, noise, step, eye, method, robust, shared)
+        return cls(array, noise, eye, method, robust, shared)
 
     def select(self, chosen: np.ndarray) -> FitJob:
         """The same for a subset of the points."""
-        noise = self.covariances[chosen] if self.step else self.covariances
+        noise = self.covariances[chosen] if len(self.covariances) > 1 else self.covariances
         shared = self.shared.select(chosen) if self.shared else None
-        return FitJob(self.points[chosen], noise, self.step, self.viewpoint, self.method, self.robust, shared)
+        return replace(self, points=self.points[chosen], covariances=noise, shared=shared)
 
 
-def _covariances(covariances: ArrayLike | None, sigma: float | None, n: int) -> tuple[FloatArray, int]:
-    """Covariances and the step between those of successive points."""
+def _covariances(covariances: ArrayLike | None, sigma: float | None, n: int) -> FloatArray:
+    """Covariances of the points, or one for all."""
     if covariances is not None and sigma is None:
-        return as_covariances("covariances", covariances, (n,)), 1
+        return as_covariances("covariances", covariances, (n,))
     if sigma is not None and covariances is None:
         deviation = as_positive("sigma", sigma)
         if not SMALLEST_VARIANCE**0.5 <= deviation <= LARGEST_VARIANCE**0.5:
             raise ValueError(
                 f"sigma: expected {SMALLEST_VARIANCE**0.5:.0e} to {LARGEST_VARIANCE**0.5:.0e} m, got {deviation}"
             )
-        return deviation**2 * np.eye(3)[None], 0
+        return deviation**2 * np.eye(3)[None]
     raise ValueError("covariances: expected either them or sigma, got " + ("neither" if sigma is None else "both"))
 
 
@@ -123,7 +122,7 @@ def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray, viewpoints: F
     fits = Fits(*arrays)
     if job.shared is None:
         eyes, how = job.viewpoint[None] if viewpoints is None else viewpoints, (job.method == "sp", bool(job.robust))
-        inputs = (job.points, job.covariances, job.step, order, bounds, eyes)
+        inputs = (job.points, job.covariances, order, bounds, eyes)
         largest_first = np.argsort(-np.diff(bounds), kind="stable")
         fit = partial(_run, how, inputs, FRACTIONS, arrays)
         in_parts(lambda first, last: fit(largest_first[first:last]), n, len(order), singly=True)
@@ -137,23 +136,24 @@ def fit_groups(job: FitJob, order: np.ndarray, bounds: np.ndarray, viewpoints: F
 @njit(cache=True)
 def _run(how, inputs, fractions, fits, groups):
     """Fit group after group, ``how``: as the paper, or robustly, or neither."""
-    (points, covs, step, order, bounds, eyes), (status, frames, covariances, counts, chi2) = inputs, fits
+    (points, covs, order, bounds, eyes), (status, frames, covariances, counts, chi2) = inputs, fits
     by_paper, robust = how
     sums = np.zeros(N_SUMS)
     for g in groups:
         lo, hi, frame, covariance = bounds[g], bounds[g + 1], frames[g], covariances[g]
-        viewpoint, group = eyes[g if eyes.shape[0] > 1 else 0], (points, covs, step, order, lo, hi)
+        viewpoint, group = eyes[min(g, eyes.shape[0] - 1)], (points, covs, order, lo, hi)
         counts[g] = hi - lo
-        if by_paper:
+        if counts[g] < 3:
+            status[g] = TOO_FEW
+        elif by_paper:
             status[g], chi2[g] = kernels.sp_group(group, viewpoint, frame, covariance)
-            continue
-        if robust:
-            status[g] = robust_group(group, viewpoint, fractions, frame, covariance, sums)
-            if status[g] == OK:
-                counts[g] = int(sums[USED])
         else:
-            status[g] = kernels.ml_group(group, viewpoint, frame, covariance, sums)
-        chi2[g] = sums[CHI2]
+            if robust:
+                status[g] = robust_group(group, viewpoint, fractions, frame, covariance, sums)
+            else:
+                status[g] = kernels.ml_group(group, viewpoint, frame, covariance, sums)
+            if status[g] == OK:
+                counts[g], chi2[g] = int(sums[18]), sums[19]
 
 
 def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
@@ -167,14 +167,13 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
         return
     if job.method == "sp":
         row, values, frame = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
-        start_row((job.points, job.covariances, job.step, np.arange(n), 0, n), 2, row)
+        start_row((job.points, job.covariances, np.arange(n), 0, n), 2, row)
         row_frame(row, job.viewpoint, frame, values)
         spread = np.array([row[1], values[2] - values[0], values[1] - values[0]])  # W, and lambda less lambda_z
         term = sp_pose_term(job.points, job.covariances, job.shared, plain.frames[0], spread)
         fits.frames[g], fits.covariances[g], fits.chi2[g] = plain.frames[0], plain.covariances[0] + term, plain.chi2[0]
         return
-    cloud = job.points, job.covariances, job.step
-    fitted = fit_shared_pose(cloud, job.viewpoint, job.shared, plain.frames[0])
+    fitted = fit_shared_pose((job.points, job.covariances), job.viewpoint, job.shared, plain.frames[0])
     fits.status[g], fits.frames[g], fits.covariances[g], fits.chi2[g] = fitted
 
 
@@ -182,7 +181,7 @@ def _inliers(job: FitJob, shared: SharedPose) -> np.ndarray:
     """Indices of the points that a robust fit keeps, their scans' pose errors folded into their own covariances."""
     n = len(job.points)
     noise = with_pose_errors(job.points, job.covariances, shared)
-    fits = fit_groups(replace(job, covariances=noise, step=1, shared=None), np.arange(n), np.array([0, n]))
+    fits = fit_groups(replace(job, covariances=noise, shared=None), np.arange(n), np.array([0, n]))
     if fits.status[0] != OK:
         return np.arange(0)
     normal, centre = fits.frames[0, :3, 2], fits.frames[0, :3, 3]

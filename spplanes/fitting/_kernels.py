@@ -35,8 +35,6 @@ MAX_ITERATIONS = 50
 @inner(cache=True)
 def sp_group(group, viewpoint, frame, covariance) -> tuple[int, float]:
     """The paper's fit of one group, weights 1 / trace^2: writes frame and covariance; returns outcome and chi2."""
-    if group[5] - group[4] < 3:
-        return TOO_FEW, 0.0
     row, values = np.empty(ROW_SIZE), np.empty(3)
     start_row(group, 2, row)
     status = row_frame(row, viewpoint, frame, values)
@@ -46,8 +44,9 @@ def sp_group(group, viewpoint, frame, covariance) -> tuple[int, float]:
 
 
 @njit(cache=True)
-def invert3(a00, a01, a02, a11, a12, a22, out) -> bool:
-    """Inverse of a symmetric positive definite 3x3 matrix by cofactors; False where it is not definite."""
+def invert3(upper, out) -> bool:
+    """Inverse of the matrix with this upper triangle, (6,), by cofactors; False where it is not positive definite."""
+    a00, a01, a02, a11, a12, a22 = upper[0], upper[1], upper[2], upper[3], upper[4], upper[5]
     m00, m01, m02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     det = a00 * m00 + a01 * m01 + a02 * m02
     if not (a00 > 0.0 and m00 > 0.0 and det > 0.0):
@@ -103,7 +102,7 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
             continue
         if sums[18] < 3.0:
             return TOO_FEW
-        if not invert3(sums[4], sums[5], sums[6], sums[7], sums[8], sums[9], inverse):
+        if not invert3(sums[4:10], inverse):
             return COLLINEAR
         best = sums[0]
         copy_into(base, frame)
@@ -143,9 +142,10 @@ def write_covariance(sums, score, to_p, covariance) -> bool:
     fit. ``to_p`` takes slopes to (z, theta, psi).
     """
     share = noise_share(sums)
-    inverse, middle, product = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    xx, xy, yy = sums[7] - share * sums[15], sums[8] - share * sums[16], sums[9] - share * sums[17]
-    if not invert3(sums[4], sums[5], sums[6], xx, xy, yy, inverse):
+    information, inverse, middle, product = sums[4:10].copy(), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for k in range(3):
+        information[3 + k] -= share * sums[15 + k]
+    if not invert3(information, inverse):
         return False
     middle[0, 0], middle[0, 1], middle[0, 2] = score[0], score[1], score[2]
     middle[1, 0], middle[1, 1], middle[1, 2] = score[1], score[3], score[4]
@@ -204,8 +204,6 @@ def write_to_p(base, frame, cx, cy, to_p) -> None:
 @inner(cache=True)
 def ml_group(group, viewpoint, frame, covariance, sums) -> int:
     """Maximum-likelihood fit of one group from a PCA start; writes frame, covariance and the sums at the minimum."""
-    if group[5] - group[4] < 3:
-        return TOO_FEW
     row, values, base = np.empty(ROW_SIZE), np.empty(3), np.empty((4, 4))
     start_row(group, 1, row)
     status = row_frame(row, viewpoint, base, values)

@@ -16,7 +16,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner
-from spplanes._rows import COLLINEAR, OK, TOO_FEW, copy_into, write_frame
+from spplanes._rows import COLLINEAR, OK, column, copy_into, in_frame, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR
 
@@ -38,8 +38,6 @@ def _biweight_means(density: Callable[[FloatArray], FloatArray]) -> tuple[float,
 #: Means over inliers, standard normal, and over outliers, spread evenly over the band.
 WEIGHT, SLOPE, SCORE = _biweight_means(lambda u: np.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi))
 OUT_WEIGHT, _, OUT_SCORE = _biweight_means(lambda u: np.full_like(u, 0.5 / CUTOFF))
-#: By how much a step with the weights' information falls short of the cost's expected curvature.
-GAIN = WEIGHT / SLOPE
 
 
 @inlined
@@ -61,31 +59,21 @@ def triple_frame(points, i, j, k, frame) -> bool:
     return True
 
 
-@inlined
-def truncated_cost(group, stride, frame, cutoff2) -> float:
-    """Sum of min(z^2 / s^2, cutoff2) over every ``stride``-th point of a group."""
-    points, covs, step, order, lo, hi = group
-    nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
-    cost = 0.0
-    for k in range(lo, hi, stride):
-        i = order[k]
-        z = nx * (points[i, 0] - frame[0, 3]) + ny * (points[i, 1] - frame[1, 3]) + nz * (points[i, 2] - frame[2, 3])
-        cost += min(z * z / variance_along(covs[i * step], nx, ny, nz), cutoff2)
-    return cost
-
-
 @inner(cache=True)
-def variance_along(c, nx, ny, nz) -> float:
-    """n^T C n, and no less than `FLOOR` of the trace."""
+def locate(group, k, frame) -> tuple[float, float, float, float]:
+    """A group's k-th point in a frame, x, y, z, m, and its variance along z: no less than `FLOOR` of the trace."""
+    points, covs, order, _, _ = group
+    i = order[k]
+    c, (nx, ny, nz) = covs[min(i, covs.shape[0] - 1)], column(frame, 2)
     variance = nx * nx * c[0, 0] + ny * ny * c[1, 1] + nz * nz * c[2, 2]
     variance += 2.0 * (nx * ny * c[0, 1] + nx * nz * c[0, 2] + ny * nz * c[1, 2])
-    return max(variance, FLOOR * (c[0, 0] + c[1, 1] + c[2, 2]))
+    return *in_frame(points, i, frame), max(variance, FLOOR * (c[0, 0] + c[1, 1] + c[2, 2]))
 
 
 @inner(cache=True)
 def consensus_frame(group, fractions, cutoff2, frame) -> int:
     """Write the frame of the triple whose plane the group agrees with most."""
-    points, _, _, order, lo, hi = group
+    points, _, order, lo, hi = group
     n = hi - lo
     stride = max(1, n // 500)  # some 500 points, evenly spread, judge a triple
     trial, best = np.empty((4, 4)), np.inf
@@ -95,7 +83,10 @@ def consensus_frame(group, fractions, cutoff2, frame) -> int:
         k = order[lo + int(fractions[t, 2] * n)]
         if not triple_frame(points, i, j, k, trial):
             continue
-        cost = truncated_cost(group, stride, trial, cutoff2)
+        cost = 0.0
+        for m in range(lo, hi, stride):
+            _, _, z, variance = locate(group, m, trial)
+            cost += min(z * z / variance, cutoff2)
         if cost < best:
             best = cost
             copy_into(frame, trial)
@@ -103,33 +94,18 @@ def consensus_frame(group, fractions, cutoff2, frame) -> int:
 
 
 @inner(cache=True)
-def locate(points, covs, step, i, frame) -> tuple[float, float, float]:
-    """In-plane coordinates x and y of a point, m, and its squared normalised distance from the plane."""
-    c, x, y, z, variance, trace = covs[i * step], 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(3):
-        q = points[i, j] - frame[j, 3]
-        x += frame[j, 0] * q
-        y += frame[j, 1] * q
-        z += frame[j, 2] * q
-        trace += c[j, j]
-        for k in range(3):
-            variance += frame[j, 2] * c[j, k] * frame[k, 2]
-    return x, y, z * z / max(variance, FLOOR * trace)
-
-
-@inner(cache=True)
 def patch_points(group, frame, cutoff2, kept) -> int:
     """Write to ``kept`` the group's points over the patch its inliers fill, at whatever height; returns how many. A
     gross outlier that happens to lie near the plane but far out along it would have all the leverage on the slope. Mean
     and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes."""
-    points, covs, step, order, lo, hi = group
+    _, _, order, lo, hi = group
     mx = my = xx = xy = yy = 0.0
     before = -1.0
     for turn in range(10):
         n = sx = sy = sxx = sxy = syy = 0.0
         for k in range(lo, hi):
-            x, y, square = locate(points, covs, step, order[k], frame)
-            if square < cutoff2 and (turn == 0 or within_patch(x - mx, y - my, xx, xy, yy)):
+            x, y, z, variance = locate(group, k, frame)
+            if z * z / variance < cutoff2 and (turn == 0 or within_patch(x - mx, y - my, xx, xy, yy)):
                 n += 1.0
                 sx += x
                 sy += y
@@ -145,7 +121,7 @@ def patch_points(group, frame, cutoff2, kept) -> int:
         before = n
     size = 0
     for k in range(lo, hi):
-        x, y, _ = locate(points, covs, step, order[k], frame)
+        x, y, _, _ = locate(group, k, frame)
         if within_patch(x - mx, y - my, xx, xy, yy):
             kept[size] = order[k]
             size += 1
@@ -162,13 +138,11 @@ def within_patch(x, y, xx, xy, yy) -> bool:
 def ring_information(group, frame, cutoff2, ring) -> None:
     """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off:
     outliers, as many as hide within the cutoff where they are spread evenly."""
-    points, covs, step, order, lo, hi = group
-    nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
-    for k in range(lo, hi):
-        x, y, square = locate(points, covs, step, order[k], frame)
-        if not cutoff2 <= square < 4.0 * cutoff2:
+    for k in range(group[3], group[4]):
+        x, y, z, variance = locate(group, k, frame)
+        if not cutoff2 <= z * z / variance < 4.0 * cutoff2:
             continue
-        w = 1.0 / variance_along(covs[order[k] * step], nx, ny, nz)
+        w = 1.0 / variance
         ring[0] += w
         ring[1] += w * x
         ring[2] += w * y
@@ -186,7 +160,7 @@ def discount_outliers(sums, ring, score) -> None:
     while True:
         for k in range(6):
             left[k] = 0.8 * sums[4 + k] - part * ring[k]
-        if invert3(left[0], left[1], left[2], left[3], left[4], left[5], inverse):
+        if invert3(left, inverse):
             break
         part = 0.5 * part if part > 1e-3 else 0.0
     for k in range(6):
@@ -200,23 +174,21 @@ def discount_outliers(sums, ring, score) -> None:
 @inner(cache=True)
 def robust_group(group, viewpoint, fractions, frame, covariance, sums) -> int:
     """Tukey fit of one group; writes frame, covariance and the sums of the kept points at the minimum."""
-    points, covs, step, _, lo, hi = group
-    if hi - lo < 3:
-        return TOO_FEW
+    points, covs, _, lo, hi = group
     base, wide, narrow = np.empty((4, 4)), 4.0 * CUTOFF * CUTOFF, CUTOFF * CUTOFF
     status = consensus_frame(group, fractions, wide, base)
     if status != OK:
         return status
     kept = np.empty(hi - lo, np.int64)
-    n = patch_points(group, base, wide, kept)
+    patch = points, covs, kept, 0, patch_points(group, base, wide, kept)
     for cutoff2 in (wide, narrow):
-        if status == OK:
-            status = descend((points, covs, step, kept, 0, n), cutoff2, GAIN, base, sums)
+        if status == OK:  # by the weights' information a step falls short of what the cost's expected curvature says
+            status = descend(patch, cutoff2, WEIGHT / SLOPE, base, sums)
     to_p, ring, score = np.empty((3, 3)), np.zeros(6), np.empty(6)
     if status == OK:
         status = settle(base, sums, viewpoint, frame, to_p)
     if status != OK:
         return status
-    ring_information((points, covs, step, kept, 0, n), base, narrow, ring)
+    ring_information(patch, base, narrow, ring)
     discount_outliers(sums, ring, score)
     return OK if write_covariance(sums, score, to_p, covariance) else COLLINEAR

@@ -18,10 +18,10 @@ from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_s
 from spplanes._jit import inlined, inner, njit
 from spplanes._rows import COLLINEAR, OK, OPEN_POSES
 from spplanes.fitting import _kernels as kernels
-from spplanes.fitting._sums import FLOOR, INFORMATION, N_SUMS, RAW, accumulate
+from spplanes.fitting._sums import FLOOR, N_SUMS, accumulate
 
-#: Points, their covariances, and the step between these, as in the kernels.
-Cloud = tuple[FloatArray, FloatArray, int]
+#: Points and their covariances, as in the kernels.
+Cloud = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def fit_shared_pose(
     cloud: Cloud, viewpoint: FloatArray, shared: SharedPose, base: FloatArray
 ) -> tuple[int, FloatArray, FloatArray, float]:
     """Joint maximum likelihood of the plane and the scans' pose errors: outcome, frame, covariance and chi2. ``cloud``:
-    points, covs, step as in the kernels; ``base``, (4, 4), the frame to start from, is moved to the optimum."""
+    points and covs as in the kernels; ``base``, (4, 4), the frame to start from, is moved to the optimum."""
     u = np.zeros((len(shared.roots), shared.roots.shape[2]))
     left, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):
@@ -133,7 +133,7 @@ def fit_shared_pose(
         information = (info - coupling @ solved[..., :3]).sum(axis=0)
         gradient = (plane_side - (coupling @ solved[..., 3:])[..., 0]).sum(axis=0)
         left = np.empty((3, 3))
-        if not _invert(information[np.triu_indices(3)], left):
+        if not kernels.invert3(information[np.triu_indices(3)], left):
             return OPEN_POSES, base, left, chi2
         gradient -= 0.5 * _volume_gradient(cloud, shared, base, u, solved[..., :3], np.sqrt(np.diag(left)))
         step_b = left @ gradient
@@ -184,12 +184,6 @@ def _volume_gradient(
     return gradient
 
 
-def _invert(upper: FloatArray, out: FloatArray) -> bool:
-    """Inverse of the matrix with this upper triangle, shape (6,); False where it is not definite."""
-    a, b, c, d, e, f = upper.tolist()
-    return kernels.invert3(a, b, c, d, e, f, out)
-
-
 def _finish(
     cloud: Cloud, viewpoint: FloatArray, base: FloatArray, left: FloatArray
 ) -> tuple[int, FloatArray, FloatArray]:
@@ -198,8 +192,8 @@ def _finish(
     sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
     accumulate((*cloud, np.arange(len(cloud[0])), 0, len(cloud[0])), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
-    score, plain = sums[INFORMATION:RAW], np.empty((3, 3))
-    if status == OK and not (_invert(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):
+    score, plain = sums[4:10], np.empty((3, 3))
+    if status == OK and not (kernels.invert3(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):
         status = COLLINEAR
     if status == OK:
         covariance += to_p @ (left - plain) @ to_p.T
@@ -251,7 +245,7 @@ def _add_cross(base, a, b, sign, out) -> None:
 
 
 @njit(cache=True)
-def _scan_sums(points, covs, step, scan, origins, frame, xi, info, cross, pose, plane_side, pose_side) -> float:
+def _scan_sums(points, covs, scan, origins, frame, xi, info, cross, pose, plane_side, pose_side) -> float:
     """Sums of one Gauss-Newton step per scan: sum w f f^T, w f g^T, w g g^T, w r f, w r g; returns sum w r^2. r is the
     distance that the pose error leaves, f = (1, x, y) and g are those of the foot point that it implies."""
     axes, q, g, f = np.empty((3, 3)), np.empty(3), np.empty(6), np.ones(3)
@@ -261,7 +255,7 @@ def _scan_sums(points, covs, step, scan, origins, frame, xi, info, cross, pose, 
             axes[j, k] = frame[k, j]
     normal, cost = axes[2], 0.0
     for i in range(points.shape[0]):
-        s, c = scan[i], covs[i * step]
+        s, c = scan[i], covs[min(i, covs.shape[0] - 1)]
         turn[0], turn[1], turn[2] = xi[s, 5], xi[s, 4], xi[s, 3]
         # The point and its noise as they are once its scan's pose is corrected, p' = p - t - turn x q: with thousands
         # of points, weights half a percent off would pull harder than the few pose errors hold.

@@ -147,7 +147,7 @@ def _maximise_likelihood(points, covariance, labels, eyes, frames, rows, spreads
     the same labels); in strips as narrow as their noise is wide, to anywhere.
     """
     noise = covariance if covariance.shape[2] == 9 else covariance * np.eye(3).ravel()
-    job = FitJob(points.reshape(-1, 3), noise.reshape(-1, 3, 3), 1, NO_VIEWPOINT, "ml", None, None)
+    job = FitJob(points.reshape(-1, 3), noise.reshape(-1, 3, 3), NO_VIEWPOINT)
     numbers, order, bounds = group_by_label(labels.ravel(), labels.size)
     fits = fit_groups(job, order, bounds, eyes[numbers])
     good = fits.status == OK  # a line of points keeps the frame it has
