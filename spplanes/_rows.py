@@ -48,49 +48,50 @@ def copy_into(target, source) -> None:
 
 
 @njit(cache=True)
-def jacobi3(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, values, vectors) -> None:
-    """Eigenvalues, ascending, and eigenvectors of a symmetric 3x3 matrix, into (3,) and the columns of (3, 3). Cyclic
-    Jacobi rotations, written out for the three pairs. A small eigenvalue of a positive semidefinite matrix is found to
-    rounding of the matrix' entries, and eigenvectors stay orthogonal to rounding, also when eigenvalues tie."""
-    v = np.zeros((3, 3))
-    for k in range(3):
-        v[k, k] = 1.0
+def symmetric3(upper):
+    """The symmetric 3x3 matrix with this upper triangle, shape (6,)."""
+    matrix, at = np.empty((3, 3)), 0
+    for j in range(3):
+        for k in range(j, 3):
+            matrix[j, k] = matrix[k, j] = upper[at]
+            at += 1
+    return matrix
+
+
+@njit(cache=True)
+def jacobi3(upper, values, vectors) -> None:
+    """Eigenvalues, ascending, and eigenvectors of `symmetric3`, into (3,) and the columns of (3, 3), by cyclic Jacobi
+    rotations. A small eigenvalue of a positive semidefinite matrix is found to rounding of the matrix' entries, and
+    eigenvectors stay orthogonal to rounding, also when eigenvalues tie."""
+    m = symmetric3(upper)
+    for j in range(3):
+        for k in range(3):
+            vectors[j, k] = 1.0 if j == k else 0.0
     for _ in range(30):  # a few do as a rule
         done = True
-        if not _is_negligible(xy, xx, yy):
+        for p, q, other in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
+            if _is_negligible(m[p, q], m[p, p], m[q, q]):
+                continue
             done = False
-            t, c, s = _rotation(xx, yy, xy)
-            xx, yy, xy = xx - t * xy, yy + t * xy, 0.0
-            xz, yz = c * xz - s * yz, s * xz + c * yz
+            t, c, s = _rotation(m[p, p], m[q, q], m[p, q])
+            m[p, p], m[q, q] = m[p, p] - t * m[p, q], m[q, q] + t * m[p, q]
+            m[p, q] = m[q, p] = 0.0
+            m[p, other], m[q, other] = c * m[p, other] - s * m[q, other], s * m[p, other] + c * m[q, other]
+            m[other, p], m[other, q] = m[p, other], m[q, other]
             for k in range(3):
-                v[k, 0], v[k, 1] = c * v[k, 0] - s * v[k, 1], s * v[k, 0] + c * v[k, 1]
-        if not _is_negligible(xz, xx, zz):
-            done = False
-            t, c, s = _rotation(xx, zz, xz)
-            xx, zz, xz = xx - t * xz, zz + t * xz, 0.0
-            xy, yz = c * xy - s * yz, s * xy + c * yz
-            for k in range(3):
-                v[k, 0], v[k, 2] = c * v[k, 0] - s * v[k, 2], s * v[k, 0] + c * v[k, 2]
-        if not _is_negligible(yz, yy, zz):
-            done = False
-            t, c, s = _rotation(yy, zz, yz)
-            yy, zz, yz = yy - t * yz, zz + t * yz, 0.0
-            xy, xz = c * xy - s * xz, s * xy + c * xz
-            for k in range(3):
-                v[k, 1], v[k, 2] = c * v[k, 1] - s * v[k, 2], s * v[k, 1] + c * v[k, 2]
+                vectors[k, p], vectors[k, q] = (
+                    c * vectors[k, p] - s * vectors[k, q],
+                    s * vectors[k, p] + c * vectors[k, q],
+                )
         if done:
             break
-    i, j, k = 0, 1, 2
-    values[0], values[1], values[2] = xx, yy, zz
-    if values[i] > values[j]:
-        i, j = j, i
-    if values[j] > values[k]:
-        j, k = k, j
-    if values[i] > values[j]:
-        i, j = j, i
-    values[0], values[1], values[2] = values[i], values[j], values[k]
-    for r in range(3):
-        vectors[r, 0], vectors[r, 1], vectors[r, 2] = v[r, i], v[r, j], v[r, k]
+    for k in range(3):
+        values[k] = m[k, k]
+    for j, k in ((0, 1), (1, 2), (0, 1)):
+        if values[j] > values[k]:
+            values[j], values[k] = values[k], values[j]
+            for r in range(3):
+                vectors[r, j], vectors[r, k] = vectors[r, k], vectors[r, j]
 
 
 @inner(cache=True)
@@ -116,9 +117,27 @@ def times(matrix, v) -> tuple[float, float, float]:
 
 
 @inner(cache=True)
+def cross(a, b) -> tuple[float, float, float]:
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inner(cache=True)
+def minus(a, b) -> tuple[float, float, float]:
+    """Difference of two vectors."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inner(cache=True)
+def over(v, size: float) -> tuple[float, float, float]:
+    """A vector divided by a number."""
+    return v[0] / size, v[1] / size, v[2] / size
+
+
+@inner(cache=True)
 def in_frame(points, i: int, frame) -> tuple[float, float, float]:
     """Coordinates of a point in a frame."""
-    off = points[i, 0] - frame[0, 3], points[i, 1] - frame[1, 3], points[i, 2] - frame[2, 3]
+    off = minus(points[i], column(frame, 3))
     return dot(column(frame, 0), off), dot(column(frame, 1), off), dot(column(frame, 2), off)
 
 
@@ -192,7 +211,7 @@ def smallest_eigen(row) -> tuple[float, float, float, float]:
     inverse-variance weights the value is the chi2 of the plane through the centre with that normal."""
     values = np.empty(3)
     vectors = np.empty((3, 3))
-    jacobi3(row[5], row[6], row[7], row[8], row[9], row[10], values, vectors)
+    jacobi3(row[5:], values, vectors)
     return max(values[0], 0.0), vectors[0, 0], vectors[1, 0], vectors[2, 0]
 
 
@@ -224,46 +243,33 @@ def points_row(points, weights, row) -> None:
 
 
 @inner(cache=True)
+def _largest(v) -> float:
+    """The component of a vector that is farthest from 0."""
+    largest = v[0]
+    for k in range(1, 3):
+        if abs(v[k]) > abs(largest):
+            largest = v[k]
+    return largest
+
+
+@inner(cache=True)
 def faces_viewpoint(n, c, viewpoint) -> bool:
     """Whether normal ``n`` at centre ``c`` has the agreed sign: to the viewpoint or, where that is NaN, d >= 0."""
-    side = n[0] * (viewpoint[0] - c[0]) + n[1] * (viewpoint[1] - c[1]) + n[2] * (viewpoint[2] - c[2])
-    if side > 0.0:
-        return True
-    if side < 0.0:
-        return False
-    d = n[0] * c[0] + n[1] * c[1] + n[2] * c[2]
-    if d != 0.0:
-        return d > 0.0
-    largest = 0
-    for k in range(1, 3):
-        if abs(n[k]) > abs(n[largest]):
-            largest = k
-    return n[largest] > 0.0
+    side, d = dot(n, minus(viewpoint, c)), dot(n, c)
+    if side > 0.0 or side < 0.0:
+        return side > 0.0
+    return d > 0.0 if d != 0.0 else _largest(n) > 0.0
 
 
 @inner(cache=True)
 def write_frame(n, x, c, frame) -> None:
     """Write the (4, 4) frame with z axis ``n``, x axis along ``x`` (largest component positive), origin ``c``."""
-    largest = 0
-    for k in range(1, 3):
-        if abs(x[k]) > abs(x[largest]):
-            largest = k
-    sign = 1.0 if x[largest] >= 0.0 else -1.0
+    sign = 1.0 if _largest(x) >= 0.0 else -1.0
+    x = sign * x[0], sign * x[1], sign * x[2]
+    y = cross(n, x)
     for k in range(3):
-        frame[k, 0] = sign * x[k]
-        frame[k, 2] = n[k]
-        frame[k, 3] = c[k]
-        frame[3, k] = 0.0
+        frame[k, 0], frame[k, 1], frame[k, 2], frame[k, 3], frame[3, k] = x[k], y[k], n[k], c[k], 0.0
     frame[3, 3] = 1.0
-    frame[0, 1] = frame[1, 2] * frame[2, 0] - frame[2, 2] * frame[1, 0]
-    frame[1, 1] = frame[2, 2] * frame[0, 0] - frame[0, 2] * frame[2, 0]
-    frame[2, 1] = frame[0, 2] * frame[1, 0] - frame[1, 2] * frame[0, 0]
-
-
-def symmetric3(upper: np.ndarray) -> np.ndarray:
-    """The symmetric 3x3 matrix with this upper triangle, shape (6,)."""
-    xx, xy, xz, yy, yz, zz = upper
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 @njit(cache=True)
@@ -271,7 +277,7 @@ def row_frame(row, viewpoint, frame, values) -> int:
     """Plane frame (4, 4) of a moment row, normal as of `faces_viewpoint`, and its eigenvalues, ascending; the
     outcome."""
     vectors = np.empty((3, 3))
-    jacobi3(row[5], row[6], row[7], row[8], row[9], row[10], values, vectors)
+    jacobi3(row[5:], values, vectors)
     values[0] = max(values[0], 0.0)
     if row[0] < 3.0:
         return TOO_FEW

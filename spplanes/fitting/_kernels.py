@@ -17,9 +17,13 @@ from spplanes._rows import (
     OK,
     ROW_SIZE,
     TOO_FEW,
+    column,
     copy_into,
+    dot,
     faces_viewpoint,
+    over,
     row_frame,
+    symmetric3,
     write_frame,
 )
 from spplanes.fitting._sums import accumulate, sp_covariance, start_row
@@ -70,20 +74,15 @@ def multiply3(a, b, out) -> None:
 def move_frame(source, b0, ax, ay, target) -> None:
     """Write to ``target`` the frame ``source`` moved onto the plane z = b0 + ax x + ay y, its x axis kept in plane."""
     length = math.sqrt(1.0 + ax * ax + ay * ay)
-    normal, x = np.empty(3), np.empty(3)
+    normal, x, origin = np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
         normal[k] = (source[k, 2] - ax * source[k, 0] - ay * source[k, 1]) / length
         x[k] = source[k, 0] + ax * source[k, 2]
-    along = x[0] * normal[0] + x[1] * normal[1] + x[2] * normal[2]
+        origin[k] = source[k, 3] + b0 * source[k, 2]
+    along = dot(x, normal)
     for k in range(3):
         x[k] -= along * normal[k]
-    size = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-    for k in range(3):
-        x[k] /= size
-    origin = np.empty(3)
-    for k in range(3):
-        origin[k] = source[k, 3] + b0 * source[k, 2]
-    write_frame(normal, x, origin, target)
+    write_frame(normal, over(x, math.sqrt(dot(x, x))), origin, target)
 
 
 @inner(cache=True)
@@ -142,14 +141,11 @@ def write_covariance(sums, score, to_p, covariance) -> bool:
     fit. ``to_p`` takes slopes to (z, theta, psi).
     """
     share = noise_share(sums)
-    information, inverse, middle, product = sums[4:10].copy(), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    information, inverse, middle, product = sums[4:10].copy(), np.empty((3, 3)), symmetric3(score), np.empty((3, 3))
     for k in range(3):
         information[3 + k] -= share * sums[15 + k]
     if not invert3(information, inverse):
         return False
-    middle[0, 0], middle[0, 1], middle[0, 2] = score[0], score[1], score[2]
-    middle[1, 0], middle[1, 1], middle[1, 2] = score[1], score[3], score[4]
-    middle[2, 0], middle[2, 1], middle[2, 2] = score[2], score[4], score[5]
     multiply3(to_p, inverse, product)
     multiply3(product, middle, inverse)
     multiply3(inverse, product.T, middle)
@@ -188,17 +184,13 @@ def settle(base, sums, viewpoint, frame, to_p) -> int:
 @inlined
 def write_to_p(base, frame, cx, cy, to_p) -> None:
     """Matrix from (b0, ax, ay) in ``base`` to (z, theta, psi) in ``frame``, of the same plane, origin at (cx, cy)."""
-    xx = xy = yx = yy = side = 0.0
-    for k in range(3):
-        xx += frame[k, 0] * base[k, 0]
-        xy += frame[k, 0] * base[k, 1]
-        yx += frame[k, 1] * base[k, 0]
-        yy += frame[k, 1] * base[k, 1]
-        side += frame[k, 2] * base[k, 2]
-    flip = 1.0 if side > 0.0 else -1.0
+    x, y = column(frame, 0), column(frame, 1)
+    flip = 1.0 if dot(column(frame, 2), column(base, 2)) > 0.0 else -1.0
     to_p[0, 0], to_p[0, 1], to_p[0, 2] = flip, flip * cx, flip * cy
-    to_p[1, 0], to_p[1, 1], to_p[1, 2] = 0.0, -flip * xx, -flip * xy
-    to_p[2, 0], to_p[2, 1], to_p[2, 2] = 0.0, flip * yx, flip * yy
+    to_p[1, 0], to_p[2, 0] = 0.0, 0.0
+    for k in range(2):
+        slope_axis = column(base, k)
+        to_p[1, k + 1], to_p[2, k + 1] = -flip * dot(x, slope_axis), flip * dot(y, slope_axis)
 
 
 @inner(cache=True)

@@ -15,9 +15,10 @@ from functools import partial
 import numpy as np
 
 from spplanes._check import FloatArray
-from spplanes._jit import inlined, njit
+from spplanes._jit import inlined, inner, njit
+from spplanes._rows import cross, minus
 from spplanes._threads import in_parts
-from spplanes.fitting._moment_patches import variance_along
+from spplanes.fitting._moment_patches import variance_from
 
 
 def roots(pose_covariances: FloatArray) -> FloatArray:
@@ -33,14 +34,14 @@ def accumulate(grid, regions, errors, total, running):
     covariances, (S, 6, 6), the points about which they turn, (S, 3), and rho, 0 for independent ones."""
     (_, _, labels), (pose_roots, origins, decay) = grid, errors
     n_regions = total.shape[0]
-    moments, gain = np.zeros((n_regions, 4, 6)), np.empty((4, 6))
+    moments, gain, row = np.zeros((n_regions, 4, 6)), np.empty((4, 6)), np.empty(6)
     seen = np.zeros(n_regions, dtype=np.bool_)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             r = labels[i, j]
             if r >= 0:
                 seen[r] = True
-                _add(moments[r], grid, i, j, regions, r, origins)
+                _add(moments[r], grid, i, j, regions, r, origins, row)
         for r in range(n_regions):
             if seen[r]:
                 for a in range(4):  # the moments of the region times the root of the scan
@@ -65,21 +66,22 @@ def accumulate(grid, regions, errors, total, running):
 
 
 @inlined
-def _add(moments, grid, i, j, regions, r, origins):
-    """Add w (1, p - r) (n^T dp/dxi) of point (i, j) to m (4, 6) of region r."""
+def _add(moments, grid, i, j, regions, r, origins, row):
+    """Add w (1, p - r) (n^T dp/dxi) of point (i, j) to m (4, 6) of region r; `row` (6,) is scratch."""
     (points, covariance, _), (planes, anchors) = grid, regions
-    nx, ny, nz = planes[r, 0], planes[r, 1], planes[r, 2]
-    w = 1.0 / variance_along(covariance, i, j, nx, ny, nz)
-    px, py, pz = points[i, j, 0] - origins[i, 0], points[i, j, 1] - origins[i, 1], points[i, j, 2] - origins[i, 2]
-    turn_x, turn_y, turn_z = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
+    w = 1.0 / variance_from(covariance, i, j, planes, r)
+    lever(planes[r], minus(points[i, j], origins[i]), row)
     for k in range(4):
         h = w if k == 0 else w * (points[i, j, k - 1] - anchors[r, k - 1])
-        moments[k, 0] += h * nx
-        moments[k, 1] += h * ny
-        moments[k, 2] += h * nz
-        moments[k, 3] += h * turn_z
-        moments[k, 4] += h * turn_y
-        moments[k, 5] += h * turn_x
+        for m in range(6):
+            moments[k, m] += h * row[m]
+
+
+@inner(cache=True)
+def lever(v, q, out) -> None:
+    """v^T dp/dxi, shape (6,): v itself, then the part of v along the velocity of q under each rotation."""
+    out[0], out[1], out[2] = v[0], v[1], v[2]
+    out[5], out[4], out[3] = cross(q, v)
 
 
 def merge_sums(

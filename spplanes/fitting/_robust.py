@@ -16,7 +16,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner
-from spplanes._rows import COLLINEAR, OK, column, copy_into, in_frame, write_frame
+from spplanes._rows import COLLINEAR, OK, column, copy_into, cross, dot, in_frame, minus, over, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR
 
@@ -43,19 +43,12 @@ OUT_WEIGHT, _, OUT_SCORE = _biweight_means(lambda u: np.full_like(u, 0.5 / CUTOF
 @inlined
 def triple_frame(points, i, j, k, frame) -> bool:
     """Write the frame of the plane through three points; False where they are as good as collinear, or not three."""
-    a, b, normal = np.empty(3), np.empty(3), np.empty(3)
-    for m in range(3):
-        a[m], b[m] = points[j, m] - points[i, m], points[k, m] - points[i, m]
-    normal[0] = a[1] * b[2] - a[2] * b[1]
-    normal[1] = a[2] * b[0] - a[0] * b[2]
-    normal[2] = a[0] * b[1] - a[1] * b[0]
-    area = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-    length2, other2 = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
-    if not area > 1e-6 * max(length2, other2):
+    a, b = minus(points[j], points[i]), minus(points[k], points[i])
+    normal, length2 = cross(a, b), dot(a, a)
+    area = math.sqrt(dot(normal, normal))
+    if not area > 1e-6 * max(length2, dot(b, b)):
         return False
-    for m in range(3):
-        normal[m], a[m] = normal[m] / area, a[m] / math.sqrt(length2)
-    write_frame(normal, a, points[i], frame)
+    write_frame(over(normal, area), over(a, math.sqrt(length2)), points[i], frame)
     return True
 
 

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_shape
-from spplanes._jit import inlined, inner, njit
-from spplanes._rows import COLLINEAR, OK, OPEN_POSES
+from spplanes._jit import njit
+from spplanes._rows import COLLINEAR, OK, OPEN_POSES, column, cross, dot, minus
 from spplanes.fitting import _kernels as kernels
+from spplanes.fitting._pose_error import lever, shared_by_scan
 from spplanes.fitting._sums import FLOOR, N_SUMS, accumulate
 
 #: Points and their covariances, as in the kernels.
@@ -61,8 +62,8 @@ class SharedPose:
         lever = points - self.origins[self.scan]
         arms = np.stack([np.bincount(self.scan, lever[:, k], len(self.origins)) for k in range(3)], axis=1) / counts
         roots = self.roots_by_scan.copy()
-        for column, axis in ((3, (0.0, 0.0, 1.0)), (4, (0.0, 1.0, 0.0)), (5, (1.0, 0.0, 0.0))):
-            roots[:, :3] += np.cross(axis, arms)[:, :, None] * roots[:, None, column]
+        for angle, axis in ((3, (0.0, 0.0, 1.0)), (4, (0.0, 1.0, 0.0)), (5, (1.0, 0.0, 0.0))):
+            roots[:, :3] += np.cross(axis, arms)[:, :, None] * roots[:, None, angle]
         return SharedPose(self.scan, roots.reshape(self.roots.shape), self.origins + arms)
 
     def select(self, chosen: np.ndarray) -> SharedPose:
@@ -121,9 +122,9 @@ def fit_shared_pose(
     u = np.zeros((len(shared.roots), shared.roots.shape[2]))
     left, chi2 = np.eye(3), 0.0
     for _ in range(kernels.MAX_ITERATIONS):
-        info, cross, plane_side, pose_side, middle, cost = _normal_equations(cloud, shared, base, u)
+        info, mixed, plane_side, pose_side, middle, cost = _normal_equations(cloud, shared, base, u)
         chi2 = cost + float(np.sum(u * u))
-        coupling = cross @ shared.roots
+        coupling = mixed @ shared.roots
         open_side = (shared.roots.transpose(0, 2, 1) @ pose_side[..., None])[..., 0] - u
         sides = np.concatenate([coupling.transpose(0, 2, 1), open_side[..., None]], axis=2)
         try:
@@ -150,16 +151,16 @@ def _normal_equations(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """Sums of a Gauss-Newton step, by scan or stacked where their errors hang together; information on u; sum w r^2."""
     scans = len(shared.origins)
-    info, cross, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
+    info, mixed, pose = np.zeros((scans, 3, 3)), np.zeros((scans, 3, 6)), np.zeros((scans, 6, 6))
     plane_side, pose_side = np.zeros((scans, 3)), np.zeros((scans, 6))
     xi = (shared.roots @ u[..., None]).reshape(scans, 6)
-    cost = _scan_sums(*cloud, shared.scan, shared.origins, base, xi, info, cross, pose, plane_side, pose_side)
+    cost = _scan_sums(*cloud, shared.scan, shared.origins, base, xi, info, mixed, pose, plane_side, pose_side)
     pose_roots = (pose @ shared.roots_by_scan).reshape(shared.roots.shape)
     if shared.is_joint:  # the sums of a single scan whose pose error is those of all, stacked
-        info, cross = info.sum(axis=0)[None], cross.transpose(1, 0, 2).reshape(1, 3, 6 * scans)
+        info, mixed = info.sum(axis=0)[None], mixed.transpose(1, 0, 2).reshape(1, 3, 6 * scans)
         plane_side, pose_side = plane_side.sum(axis=0)[None], pose_side.reshape(1, 6 * scans)
     middle = np.eye(u.shape[1]) + shared.roots.transpose(0, 2, 1) @ pose_roots
-    return info, cross, plane_side, pose_side, middle, cost
+    return info, mixed, plane_side, pose_side, middle, cost
 
 
 def _volume_gradient(
@@ -209,8 +210,9 @@ def sp_pose_term(
     x, y, z = (local[:, k, None] for k in range(3))
     moves = np.stack((0.0 * z + normal, -(x * normal + z * x_axis), y * normal + z * y_axis), axis=1) / spread[:, None]
     arms = (points - shared.origins[shared.scan])[:, None]
+    levers = np.concatenate((moves, np.cross(arms, moves)[..., ::-1]), axis=-1)  # as `lever`, of each
     derivative, traces = np.zeros((len(shared.origins), 3, 6)), np.trace(covs, axis1=1, axis2=2)
-    np.add.at(derivative, shared.scan, _levers(moves, arms) / (traces**2)[:, None, None])
+    np.add.at(derivative, shared.scan, levers / (traces**2)[:, None, None])
     if shared.is_joint:
         derivative = derivative.transpose(1, 0, 2).reshape(1, 3, -1)
     half = derivative @ shared.roots
@@ -219,69 +221,32 @@ def sp_pose_term(
 
 def with_pose_errors(points: FloatArray, covs: FloatArray, shared: SharedPose) -> FloatArray:
     """Covariances of points with their scan's pose error folded in, shape (N, 3, 3): to judge single points by."""
-    arms = (points - shared.origins[shared.scan])[:, None]
-    roots = shared.roots_by_scan
-    if roots.shape[2] != 6:  # those of every scan's own covariance
-        roots = _square_roots(roots @ roots.transpose(0, 2, 1))
-    half = _levers(np.eye(3), arms) @ roots[shared.scan]
-    return covs + half @ half.transpose(0, 2, 1)
-
-
-@inner(cache=True)
-def _lever(v, q, out) -> None:
-    """v^T dp/dxi, shape (6,): v itself, then the part of v along the velocity of q under each rotation."""
-    out[0], out[1], out[2] = v[0], v[1], v[2]
-    out[3] = q[0] * v[1] - q[1] * v[0]
-    out[4] = q[2] * v[0] - q[0] * v[2]
-    out[5] = q[1] * v[2] - q[2] * v[1]
-
-
-@inlined
-def _add_cross(base, a, b, sign, out) -> None:
-    """base + sign a x b, shape (3,); out may be none of them."""
-    out[0] = base[0] + sign * (a[1] * b[2] - a[2] * b[1])
-    out[1] = base[1] + sign * (a[2] * b[0] - a[0] * b[2])
-    out[2] = base[2] + sign * (a[0] * b[1] - a[1] * b[0])
+    own = shared.roots_by_scan @ shared.roots_by_scan.transpose(0, 2, 1)
+    return covs + shared_by_scan(points[:, None], own[shared.scan], shared.origins[shared.scan]).reshape(-1, 3, 3)
 
 
 @njit(cache=True)
-def _scan_sums(points, covs, scan, origins, frame, xi, info, cross, pose, plane_side, pose_side) -> float:
+def _scan_sums(points, covs, scan, origins, frame, xi, info, mixed, pose, plane_side, pose_side) -> float:
     """Sums of one Gauss-Newton step per scan: sum w f f^T, w f g^T, w g g^T, w r f, w r g; returns sum w r^2. r is the
     distance that the pose error leaves, f = (1, x, y) and g are those of the foot point that it implies."""
-    axes, q, g, f = np.empty((3, 3)), np.empty(3), np.empty(6), np.ones(3)
-    turn, seen, spread, drawn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for j in range(3):
-        for k in range(3):
-            axes[j, k] = frame[k, j]
-    normal, cost = axes[2], 0.0
+    x_axis, y_axis, normal, origin = column(frame, 0), column(frame, 1), column(frame, 2), column(frame, 3)
+    g, f, cost = np.empty(6), np.ones(3), 0.0
     for i in range(points.shape[0]):
         s, c = scan[i], covs[min(i, covs.shape[0] - 1)]
-        turn[0], turn[1], turn[2] = xi[s, 5], xi[s, 4], xi[s, 3]
+        turn, q = (xi[s, 5], xi[s, 4], xi[s, 3]), minus(points[i], origins[s])
         # The point and its noise as they are once its scan's pose is corrected, p' = p - t - turn x q: with thousands
         # of points, weights half a percent off would pull harder than the few pose errors hold.
-        _add_cross(normal, turn, normal, 1.0, seen)
-        for j in range(3):
-            q[j] = points[i, j] - origins[s, j]
-            spread[j] = c[j, 0] * seen[0] + c[j, 1] * seen[1] + c[j, 2] * seen[2]
-        _add_cross(spread, turn, spread, -1.0, drawn)
-        _add_cross(points[i], turn, q, -1.0, seen)
-        x = y = r = variance = ux = uy = 0.0
-        for j in range(3):
-            p = seen[j] - xi[s, j] - frame[j, 3]
-            x += axes[0, j] * p
-            y += axes[1, j] * p
-            r += axes[2, j] * p
-            ux += axes[0, j] * drawn[j]
-            uy += axes[1, j] * drawn[j]
-            variance += normal[j] * drawn[j]
+        seen = minus(normal, cross(normal, turn))
+        spread = dot(c[0], seen), dot(c[1], seen), dot(c[2], seen)
+        drawn = minus(spread, cross(turn, spread))
+        p = minus(minus(minus(points[i], cross(turn, q)), xi[s]), origin)
+        x, y, r = dot(x_axis, p), dot(y_axis, p), dot(normal, p)
+        ux, uy, variance = dot(x_axis, drawn), dot(y_axis, drawn), dot(normal, drawn)
         least = FLOOR * (c[0, 0] + c[1, 1] + c[2, 2])
         if variance < least:
-            variance, ux, uy = least, 0.0, 0.0
-            spread[:] = 0.0
+            variance, ux, uy, spread = least, 0.0, 0.0, (0.0, 0.0, 0.0)
         w = 1.0 / variance
-        for k in range(3):
-            q[k] -= spread[k] * r * w
-        _lever(normal, q, g)
+        lever(normal, minus(q, (spread[0] * r * w, spread[1] * r * w, spread[2] * r * w)), g)
         f[1], f[2] = x - ux * r * w, y - uy * r * w
         cost += w * r * r
         for j in range(3):
@@ -289,15 +254,9 @@ def _scan_sums(points, covs, scan, origins, frame, xi, info, cross, pose, plane_
             for k in range(3):
                 info[s, j, k] += w * f[j] * f[k]
             for k in range(6):
-                cross[s, j, k] += w * f[j] * g[k]
+                mixed[s, j, k] += w * f[j] * g[k]
         for j in range(6):
             pose_side[s, j] += w * r * g[j]
             for k in range(6):
                 pose[s, j, k] += w * g[j] * g[k]
     return cost
-
-
-def _levers(directions: FloatArray, arms: FloatArray) -> FloatArray:
-    """`_lever` of directions and of places, (..., 3) both, relative to what they turn about, shape (..., 6)."""
-    turned = np.cross(arms, directions)[..., ::-1]
-    return np.concatenate((np.broadcast_to(directions, turned.shape), turned), axis=-1)

@@ -29,6 +29,7 @@ from scipy.special import chdtri
 
 from spplanes._check import FloatArray
 from spplanes._jit import njit
+from spplanes._rows import column, in_frame
 from spplanes.fitting.rounding import with_rounding
 
 #: Patches along each side of a plane.
@@ -301,19 +302,14 @@ def _add_to_patches(points, variances, groups, frames, half, sums):
     """Add every point's residual to the sums (P, SIDE, SIDE, 6) of its patch, in place. Points (N, 3), m, of ``groups``
     (N,), -1 = none, have ``variances`` (N, 1) or (N, 9), or (1, .) for all, m^2. ``half`` (P, 2), m, are half the sides
     of the rectangles that are parted; points beyond are of the rim."""
-    step = 1 if variances.shape[0] == points.shape[0] else 0
     isotropic = variances.shape[1] == 1
     for k in range(points.shape[0]):
         g = groups[k]
         if g < 0:
             continue
         f = frames[g]
-        a, b, c = points[k, 0] - f[0, 3], points[k, 1] - f[1, 3], points[k, 2] - f[2, 3]
-        x = a * f[0, 0] + b * f[1, 0] + c * f[2, 0]
-        y = a * f[0, 1] + b * f[1, 1] + c * f[2, 1]
-        n0, n1, n2 = f[0, 2], f[1, 2], f[2, 2]
-        z = a * n0 + b * n1 + c * n2
-        v = variances[k * step]
+        (x, y, z), (n0, n1, n2) = in_frame(points, k, f), column(f, 2)
+        v = variances[min(k, variances.shape[0] - 1)]
         if isotropic:
             along = v[0]
         else:
