@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan2, cos, hypot, isfinite, nan, pi, remainder, sin
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,22 +69,11 @@ class ScanLine:
         object.__setattr__(self, "covariance", read_only(as_covariance("covariance", self.covariance, 2)))
 
     @classmethod
-    def _trusted(
-        cls,
-        alpha: float,
-        rho: float,
-        covariance: FloatArray,
-        endpoints: FloatArray,
-        indices: np.ndarray,
-        chi2: float,
-        dof: int,
-    ) -> Self:
-        """A line from values that are known to be good, without checking them again."""
+    def _trusted(cls, *values: Any) -> Self:
+        """A line from the values of its fields, in order, that are known to be good, without checking them again."""
         line = object.__new__(cls)
-        covariance, endpoints, indices = read_only(covariance), read_only(endpoints), read_only(indices)
-        line.__dict__.update(
-            alpha=alpha, rho=rho, covariance=covariance, endpoints=endpoints, indices=indices, chi2=chi2, dof=dof
-        )
+        for name, value in zip(cls.__match_args__, values, strict=True):
+            line.__dict__[name] = read_only(value) if isinstance(value, np.ndarray) else value
         return line
 
     @property

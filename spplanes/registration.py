@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_float_array, as_shape
 from spplanes.noise import SensorModel
+from spplanes.spmodel import skew
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +135,8 @@ def _shared(
     if pose_covariances is not None:
         total += as_float_array("pose_covariances", pose_covariances)
     if own.any():
-        for s, (x, y, z) in enumerate(levers):
-            moved = np.eye(6)
-            moved[:3, 3:] = np.array([[y, -z, 0.0], [-x, 0.0, z], [0.0, x, -y]])
+        moved = np.eye(6)
+        for s, lever in enumerate(levers):
+            moved[:3, 3:] = skew(lever)[:, ::-1]
             total[s] += moved @ own @ moved.T
     return total

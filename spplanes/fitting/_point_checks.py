@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array
+from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_shape
 from spplanes._jit import inlined, njit
 
 #: Coordinates up to this, m, and variances from this on and up to that, m^2: their products stay within floats.
@@ -60,10 +60,7 @@ def _is_plain(covariances, i, least: float, most: float) -> bool:
 
 def as_points(name: str, value: ArrayLike) -> FloatArray:
     """Return finite points, shape (N, 3), float64, C order."""
-    points = as_float_array(name, value)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"{name}: expected shape (N, 3), got {points.shape}")
-    points = _writable(points)
+    points = _writable(as_shape(name, value, (None, 3), finite=False))
     if points.size and not (points.max() <= LARGEST_COORDINATE and points.min() >= -LARGEST_COORDINATE):  # NaN, too
         bad = int(np.argmin((np.abs(points) <= LARGEST_COORDINATE).all(axis=1)))
         finite = np.isfinite(points[bad]).all()

@@ -34,18 +34,10 @@ from spplanes.fitting.rounding import with_rounding
 
 #: Patches along each side of a plane.
 SIDE = 5
-#: Of a patch: number, sum of the weights, weighted residual, its square, weighted x and y.
-N, WEIGHT, RESIDUAL, SQUARE, X, Y = range(6)
 #: Share of the sensors without such errors that are taken to have some.
 SIGNIFICANCE = 1e-3
 #: Mean distance of the points of a rectangle, as exp(mean log), in the sum of its sides (Maxwell's geometric mean).
 MEAN_DISTANCE = 0.2235
-#: Likelihoods are worked out where the slope at tau = 0 is above so many standard deviations.
-_HINT = 2.0
-#: How much of what the contrasts of one plane tell of its tau^2 is believed: that its longer waves, which turn it, are
-#: of the same variance is an assumption. Angles between planes seen twice by two lidars and a Kinect, mean chi2, and
-#: share beyond 99.9 %: all of it .57 to 1.6, 0 to 2.8 %; half .52 to 1.1, 0 to 1.1 %.
-_BELIEVED = 0.5
 #: tau^2 is looked at where it gives the largest contrast so many times the variance of its noise.
 _MULTIPLES = 10.0 ** np.arange(-3.0, 9.0, 0.1)
 #: Populations of log tau^2: their means are at some of those multiples, these are their standard deviations.
@@ -131,12 +123,11 @@ class _Patches:
         blurred = half < SIDE * _noise_along(variances, groups, len(frames))[:, None]
         sums = np.zeros((len(frames), SIDE, SIDE, 6))
         _add_to_patches(points, variances, groups, frames, np.where(blurred, np.inf, half), sums)
-        sums = sums.reshape(len(frames), SIDE * SIDE, 6)
-        weights = sums[..., WEIGHT]
+        numbers, weights, residuals, squares, x, y = np.moveaxis(sums.reshape(len(frames), SIDE * SIDE, 6), -1, 0)
         safe = np.where(weights > 0.0, weights, 1.0)
-        means, x, y = (sums[..., k] / safe for k in (RESIDUAL, X, Y))
-        chi2 = (sums[..., SQUARE] - weights * means**2).sum(axis=1)
-        dof = sums[..., N].sum(axis=1) - (weights > 0.0).sum(axis=1)
+        means, x, y = residuals / safe, x / safe, y / safe
+        chi2 = (squares - weights * means**2).sum(axis=1)
+        dof = numbers.sum(axis=1) - (weights > 0.0).sum(axis=1)
         diameter = 2.0 * np.hypot(half[:, 0], half[:, 1])
         within = MEAN_DISTANCE * 2.0 * half.sum(axis=1) / SIDE
         return cls(weights, means, np.stack((np.ones_like(x), -x, y), axis=-1), diameter, within, chi2, dof)
@@ -167,8 +158,9 @@ class _Patches:
         """tau^2 of the median plane, and of each, (P,), m^2; of those alone that may have any, if most have none."""
         common, own = least, np.full(len(factors), least)
         score, variance = np.concatenate([self._scores(one, factors) for (one,) in _few(np.arange(len(own)))], axis=1)
-        most = bool(score.sum() > _HINT * np.sqrt(variance.sum()))
-        asked = np.flatnonzero(most | (score > _HINT * np.sqrt(variance)))
+        # likelihoods are worked out where the slope at tau = 0 is above two standard deviations
+        most = bool(score.sum() > 2.0 * np.sqrt(variance.sum()))
+        asked = np.flatnonzero(most | (score > 2.0 * np.sqrt(variance)))
         if len(asked):
             common, own[asked] = _of_planes(*self._contrasts(asked, factors), least, most, len(own))
         return common, own
@@ -252,7 +244,10 @@ def _of_planes(
     likelihoods = np.concatenate([_log_likelihood(v, s, taus[:, None]).T for v, s in _few(values, squares)])
     gains = likelihoods - _log_likelihood(values, squares, least)[:, None]
     shared = most and 2.0 * gains.sum(axis=0).max() > chdtri(1, 2.0 * SIGNIFICANCE)
-    relative = np.exp(_BELIEVED * (likelihoods - likelihoods.max(axis=1, keepdims=True)))
+    # Half of what the contrasts of one plane tell of its tau^2 is believed: that its longer waves, which turn it, are
+    # of the same variance is an assumption. Angles between planes seen twice by two lidars and a Kinect, mean chi2, and
+    # share beyond 99.9 %: by all of it .57 to 1.6, 0 to 2.8 %; by half .52 to 1.1, 0 to 1.1 %.
+    relative = np.exp(0.5 * (likelihoods - likelihoods.max(axis=1, keepdims=True)))
     if shared:
         return _of_a_population(relative, taus)
     limit = chdtri(1, 2.0 * _of_one(n_planes, bool(least)))

@@ -26,12 +26,11 @@ from spplanes.lines._round import find_round
 
 
 class Rules(NamedTuple):
-    """What counts as a line, as kernels take it: the numbers of a `LineConfig`."""
+    """What counts as a line, as kernels take it: the numbers of a `LineConfig`, the quantile of chi2 with 2 dof at its
+    significance, and the flatness that is in the covariances, m."""
 
     significance: float
-    """Of the tests."""
     gate: float
-    """Quantile of chi2 with 2 dof at that significance."""
     min_points: int
     max_missing: int
     max_turning: float
@@ -42,36 +41,32 @@ class Rules(NamedTuple):
     range_min: float
     range_max: float
     stated: float
-    """The flatness that is in the covariances, m."""
-
-
-#: Rows of an ordered scan: bearing, cosine, sine, range, its standard deviation without that of the bearing, with it.
-BEARING, COSINE, SINE, RANGE, SIGMA, SLOPE_SIGMA, N_ROWS = range(7)
 
 
 @inlined
-def beams_of(scan, sigma):
-    """The beams of an ordered scan, their noise without that of the bearing, SIGMA, or with it, SLOPE_SIGMA."""
-    return Beams(scan[BEARING], scan[COSINE], scan[SINE], scan[RANGE], scan[sigma])
+def beams_of(scan, with_bearings):
+    """The beams of an ordered scan (6, V), their noise with that of the bearing, the last row, or without."""
+    return Beams(scan[0], scan[1], scan[2], scan[3], scan[5 if with_bearings else 4])
 
 
 @njit(cache=True)
 def order_scan(ranges, angles, sigmas, order, step, numbers):
-    """Returns in order (V,), a step apart: their rows (N_ROWS, V), moments, breaks (V,); the largest step in a line."""
-    rules, rows = Rules(*numbers), np.empty((N_ROWS, order.size))
+    """Returns in order, a step apart: `beams_of` (6, V), moments, breaks (V,); the largest step in a line."""
+    rules, scan = Rules(*numbers), np.empty((6, order.size))
+    beams = beams_of(scan, False)
     for k in range(order.size):
         beam = order[k]
-        rows[BEARING, k], rows[RANGE, k], rows[SIGMA, k] = angles[beam], ranges[beam], sigmas[beam]
-        rows[COSINE, k], rows[SINE, k] = np.cos(angles[beam]), np.sin(angles[beam])
-    slope_sigmas(beams_of(rows, SIGMA), rules.bearing_sigma, rows[SLOPE_SIGMA])
-    beams, max_step = beams_of(rows, SLOPE_SIGMA), (rules.max_missing + 1.5) * step
-    return rows, beam_moments(beams), find_breaks(beams, max_step, rules.gate), max_step
+        beams.bearings[k], beams.ranges[k], beams.sigmas[k] = angles[beam], ranges[beam], sigmas[beam]
+        beams.cosines[k], beams.sines[k] = np.cos(angles[beam]), np.sin(angles[beam])
+    slope_sigmas(beams, rules.bearing_sigma, scan[5])
+    beams, max_step = beams_of(scan, True), (rules.max_missing + 1.5) * step
+    return scan, beam_moments(beams), find_breaks(beams, max_step, rules.gate), max_step
 
 
 @njit(cache=True)
 def label_scan(scan, moments, breaks, max_step, numbers):
     """Labels (V,) of the returns: which line each may be of, -1 = none."""
-    rules, beams = Rules(*numbers), beams_of(scan, SLOPE_SIGMA)
+    rules, beams = Rules(*numbers), beams_of(scan, True)
     starts = refine(moments, breaks, split(moments, breaks, rules.significance), rules.significance)
     is_round = find_round(beams, moments, breaks, starts, rules.significance, 0.5 * rules.max_turning)
     bounds = rules.max_missing, max_step
@@ -148,7 +143,7 @@ def extract(
 @njit(cache=True)
 def fit_labels(order, scan, breaks, labels, of_labels, begins, numbers):
     """The line of every label that is one, see `extract`; beams of_labels[begins[k] : begins[k + 1]] have label k."""
-    beams, rules = beams_of(scan, SIGMA), Rules(*numbers)
+    beams, rules = beams_of(scan, False), Rules(*numbers)
     moments, n_labels = beam_moments(beams), begins.shape[0] - 1
     rows, support = np.empty((n_labels, 12)), np.empty(order.size, dtype=np.int64)
     counts = np.empty(n_labels, dtype=np.int64)

@@ -53,16 +53,12 @@ def order_beams(
 @inlined
 def slope_sigmas(beams, bearing_sigma, result):
     """Range noise with the bearing noise in it, (V,): times the slope dr/da, at a jump that of the flatter side."""
-    bearings, ranges, sigmas = beams.bearings, beams.ranges, beams.sigmas
-    n = bearings.size
-    first = last = 0.0  # slopes before and after a beam
+    bearings, ranges, n = beams.bearings, beams.ranges, beams.bearings.size
     for k in range(n):
-        if bearing_sigma == 0.0:
-            result[k] = sigmas[k]
-            continue
-        first = slope_at(bearings, ranges, k) if k == 0 else last
-        last = slope_at(bearings, ranges, (k + 1) % n)
-        result[k] = np.hypot(sigmas[k], bearing_sigma * min(first, last))
+        slope = 0.0
+        if bearing_sigma > 0.0:
+            slope = min(slope_at(bearings, ranges, k), slope_at(bearings, ranges, (k + 1) % n))
+        result[k] = np.hypot(beams.sigmas[k], bearing_sigma * slope)
 
 
 @inlined

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import log
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,8 +169,7 @@ def _scatter(scans: Sequence[tuple[FloatArray, FloatArray]], sigma: float, confi
     return sigma * float(np.sqrt(common)), len(points)
 
 
-@dataclass(frozen=True, eq=False)
-class _Residuals:
+class _Residuals(NamedTuple):
     """Beams on M lines as points of planes that have no height, each plane in its own frame."""
 
     points: FloatArray
@@ -218,20 +217,14 @@ def _with_shared_error(
     found = shared_error_of(seen.points, seen.variances[:, None], seen.line, frames, seen.covariances, stated=True)
     total, from_sp = found.covariances[:, :2, :2], np.linalg.inv(seen.to_sp)
     result = from_sp @ total @ np.swapaxes(from_sp, 1, 2)
-    last = np.cumsum(counts) - 1
+    # An uneven wall shifts by its flatness, and turns by sqrt(12) / length of it about its middle: what residuals do
+    # not show of these variances of shift and direction is added.
+    ends = np.cumsum(counts) - 1
+    first, last, flat = seen.along[ends - counts + 1], seen.along[ends], np.full(len(rows), config.flatness)
+    stated = np.stack((flat**2, 12.0 * (flat / np.abs(last - first)) ** 2), axis=-1)
     shown = (total - found.noise_factors[:, None, None] * seen.covariances[:, :2, :2])[:, (0, 1), (0, 1)]
-    _add_unevenness(result, config.flatness, seen.along[last - counts + 1], seen.along[last], shown)
-    return 0.5 * (result + np.swapaxes(result, 1, 2))
-
-
-def _add_unevenness(
-    covariances: FloatArray, flatness: float, first: FloatArray, last: FloatArray, shown: FloatArray
-) -> None:
-    """Add to covariances (M, 2, 2), in place, what residuals do not show of the unevenness that is stated of walls. A
-    wall shifts by the flatness, m, and turns by sqrt(12) / length of it about the middle between first and last, (M,),
-    m; ``shown`` (M, 2) are the variances of shift and direction by the shared error that residuals show."""
-    stated = np.stack((np.full(len(first), flatness**2), 12.0 * (flatness / np.abs(last - first)) ** 2), axis=-1)
     left = np.maximum(stated - shown, 0.0)
-    by_turn = np.stack((np.ones(len(first)), 0.5 * (last + first)), axis=-1)
-    covariances += left[:, 1, None, None] * by_turn[:, :, None] * by_turn[:, None, :]
-    covariances[:, 1, 1] += left[:, 0]
+    by_turn = np.stack((np.ones(len(rows)), 0.5 * (last + first)), axis=-1)
+    result += left[:, 1, None, None] * by_turn[:, :, None] * by_turn[:, None, :]
+    result[:, 1, 1] += left[:, 0]
+    return 0.5 * (result + np.swapaxes(result, 1, 2))
