@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from spplanes.spmodel import inverse_transform
 from tests.statistics import nees
@@ -27,7 +29,7 @@ class Scene:
     scan_index: np.ndarray | None = None
     """Scan of each point, (N,)."""
     pose_covariances: np.ndarray | None = None
-    """Of the scans, (S, 6, 6)."""
+    """Of the scans, (S, 6, 6), or jointly, (6 S, 6 S)."""
     model: Callable[[np.ndarray], np.ndarray] | None = None
     """Covariances (N, 3, 3) that the sensor model gives for points (N, 3)."""
 
@@ -45,7 +47,7 @@ class Scene:
 
     @cached_property
     def pose_roots(self) -> np.ndarray:
-        """Square roots of the pose covariances, (S, 6, 6)."""
+        """Square roots of the pose covariances, of their shape."""
         return psd_roots(self.pose_covariances)
 
     def sample(self, rng: np.random.Generator) -> np.ndarray:
@@ -53,8 +55,8 @@ class Scene:
         points = self.true_points + np.einsum("nij,nj->ni", self.roots, rng.normal(size=self.true_points.shape))
         if self.scan_index is None:
             return points
-        xi = np.einsum("sij,sj->si", self.pose_roots, rng.normal(size=(len(self.pose_covariances), 6)))
-        return moved(points, xi[self.scan_index])
+        xi = self.pose_roots @ rng.normal(size=(*self.pose_roots.shape[:-1], 1))
+        return moved(points, xi.reshape(-1, 6)[self.scan_index])
 
     def linear(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivative (N, 3) of the points' distances by (z, theta, psi) in `frame`, and those' covariance (N, N)."""
@@ -62,11 +64,13 @@ class Scene:
         h = np.column_stack([np.ones(len(local)), -local[:, 0], local[:, 1]])
         total = np.diag(np.einsum("i,nij,j->n", n, self.covariances, n))
         if self.scan_index is not None:
+            joint = self.pose_covariances if self.pose_covariances.ndim == 2 else block_diag(*self.pose_covariances)
             rotations = [np.cross(axis, self.true_points) @ n for axis in np.eye(3)[::-1]]
-            g = np.column_stack([np.broadcast_to(n, self.true_points.shape), *rotations])
-            for s, covariance in enumerate(self.pose_covariances):
-                own = np.flatnonzero(self.scan_index == s)
-                total[np.ix_(own, own)] += g[own] @ covariance @ g[own].T
+            by_poses = np.zeros((len(local), len(joint) // 6, 6))
+            by_poses[np.arange(len(local)), self.scan_index, :3] = n
+            by_poses[np.arange(len(local)), self.scan_index, 3:] = np.column_stack(rotations)
+            by_poses = by_poses.reshape(len(local), -1)
+            total += by_poses @ joint @ by_poses.T
         return h, total
 
     def crb(self) -> np.ndarray:
@@ -76,7 +80,7 @@ class Scene:
 
 
 def error_of(frame: np.ndarray, true_frame: np.ndarray) -> np.ndarray:
-    """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame."""
+    """(z, theta, psi) that leads from an estimated frame to the true plane, in the estimated frame, or back."""
     n, centre = (inverse_transform(frame) @ true_frame)[:3, 2:].T
     return np.array([n @ centre / n[2], np.arctan2(n[0], n[2]), -np.arctan2(n[1], n[2])])
 
@@ -178,46 +182,32 @@ def run(scene: Scene, fit, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray
     for r in range(runs):
         plane = fit(scene.sample(rng), scene)
         errors[r], covariances[r] = error_of(plane.frame, scene.frame), plane.covariance
-        local[r] = estimate_in(scene.frame, plane.frame)
+        local[r] = error_of(scene.frame, plane.frame)
     return nees(errors, covariances), local, covariances
 
 
-@dataclass(frozen=True)
-class Linear:
-    """What the linear estimate, its weights at the truth, makes of the noise of `run`: exactly as sure as it says.
+class Linear(NamedTuple):
+    """Normalised squared errors (R,), 3 degrees of freedom each; errors of (z, theta, psi) about the truth, (R, 3)."""
+
+    chi2: np.ndarray
+    local: np.ndarray
+
+
+def linear_run(scene: Scene, runs: int, seed: int, weights: np.ndarray | None = None) -> Linear:
+    """The linear estimate on the same points as `run` with a fit that draws nothing: exactly as sure as it says, by the
+    best weights, at the truth, or by those that are given, (N,).
 
     A fit errs nearly as this does, so the difference of two means hardly scatters: one with 200 runs tells an error of
     the covariance from none as well as the mean of a fit alone with 10,000 and more.
     """
-
-    chi2: np.ndarray
-    """Normalised squared errors (R,), 3 degrees of freedom each."""
-    local: np.ndarray
-    """Errors of (z, theta, psi) in the frame of the truth, (R, 3)."""
-
-    @classmethod
-    def of(cls, distances: np.ndarray, h: np.ndarray, total: np.ndarray, weights: np.ndarray | None = None) -> Linear:
-        """From points' ``distances`` (R, N) and `Scene.linear`; with ``weights`` (N,) instead of the best ones."""
-        weighted = np.linalg.solve(total, h).T if weights is None else h.T * weights
-        by = np.linalg.solve(weighted @ h, weighted)
-        local = distances @ by.T
-        return cls(np.einsum("ri,ri->r", local, np.linalg.solve(by @ total @ by.T, local.T).T), local)
+    rng, (h, total) = np.random.default_rng(seed), scene.linear()
+    distances = np.stack([(scene.sample(rng) - scene.true_points) @ scene.frame[:3, 2] for _ in range(runs)])
+    weighted = np.linalg.solve(total, h).T if weights is None else h.T * weights
+    by = np.linalg.solve(weighted @ h, weighted)
+    local = distances @ by.T
+    return Linear(nees(local, np.broadcast_to(by @ total @ by.T, (runs, 3, 3))), local)
 
 
 def loss(local: np.ndarray, scene: Scene) -> float:
     """Root mean square error over the Cramer-Rao bound, all three components in the bound's own metric."""
-    return float(np.sqrt(np.einsum("ri,ij,rj->r", local, np.linalg.inv(scene.crb()), local).mean() / 3.0))
-
-
-def linear_run(scene: Scene, runs: int, seed: int, weights: np.ndarray | None = None) -> Linear:
-    """The linear estimate on the same points as `run` with a fit that draws nothing."""
-    rng = np.random.default_rng(seed)
-    n = scene.frame[:3, 2]
-    distances = np.stack([(scene.sample(rng) - scene.true_points) @ n for _ in range(runs)])
-    return Linear.of(distances, *scene.linear(), weights)
-
-
-def estimate_in(frame: np.ndarray, estimated: np.ndarray) -> np.ndarray:
-    """(z, theta, psi) of the estimated plane in the frame of the truth."""
-    n, centre = (inverse_transform(frame) @ estimated)[:3, 2:].T
-    return np.array([n @ centre / n[2], n[0] / n[2], -n[1] / n[2]])
+    return float(np.sqrt(nees(local, np.broadcast_to(scene.crb(), (len(local), 3, 3))).mean() / 3.0))

@@ -41,14 +41,6 @@ def test_sp_is_consistent_where_noise_is_not_oblique(name):
     assert_mean_in_band(values, 3)
 
 
-def test_sp_with_shared_poses_is_consistent():
-    scene = SCENES["20 scans, shared poses"]
-    values, _, _ = run(scene, fit("sp"), FEW, seed=3)
-    exact = linear_run(scene, FEW, seed=3, weights=1.0 / np.trace(scene.covariances, axis1=1, axis2=2))
-    assert_mean_in_band(exact.chi2, 3)
-    assert values.mean() == pytest.approx(exact.chi2.mean(), rel=0.03)
-
-
 def test_covariances_taken_at_the_measured_points():
     """As a user does it: the sensor model is evaluated where the points were seen, not where they are."""
     scene = SCENES["noise growing with range"]

@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 
 from spplanes import fit_plane
 from spplanes.plane import Plane
-from tests.spplanes.fitting.fit_scenes import Linear, moved
+from tests.spplanes.fitting.fit_scenes import Scene, linear_run, run
 from tests.statistics import assert_mean_in_band
 
 SIGMA_M = 0.01
@@ -22,36 +22,22 @@ WALL = np.stack(np.meshgrid(np.linspace(0.0, 1.5, SCANS), 2.0, np.linspace(-1.0,
 WALL, INDEX = WALL.reshape(-1, 3), np.repeat(np.arange(SCANS), BEAMS)
 
 
-def nees_of(method: str, runs: int) -> tuple[float, Linear]:
-    """Mean NEES, and what the linear estimate with the same weights makes of the same noise."""
-    rng, root = np.random.default_rng(11), np.linalg.cholesky(RANDOM_WALK)
-    truth = Plane.from_hesse([0.0, -1.0, 0.0], -2.0, np.zeros((3, 3)))
-    shared = {"scan_index": INDEX, "pose_covariances": RANDOM_WALK}
-    total, noise = 0.0, []
-    for _ in range(runs):
-        points = moved(WALL, (root @ rng.standard_normal(6 * SCANS)).reshape(SCANS, 6)[INDEX])
-        points += SIGMA_M * rng.standard_normal(WALL.shape)
-        total += fit_plane(points, sigma=SIGMA_M, method=method, viewpoint=np.zeros(3), **shared).mahalanobis(truth)
-        noise.append(points[:, 1] - 2.0)
-    h = np.column_stack([np.ones(len(WALL)), WALL[:, [0, 2]]])
-    by_poses = np.zeros((len(WALL), SCANS, 6))
-    for k, one in enumerate(np.eye(6)):
-        by_poses[np.arange(len(WALL)), INDEX, k] = (moved(WALL, np.tile(one, (len(WALL), 1))) - WALL)[:, 1]
-    by_poses = by_poses.reshape(len(WALL), -1)
-    weights = np.ones(len(WALL)) if method == "sp" else None
-    covariance = by_poses @ RANDOM_WALK @ by_poses.T + SIGMA_M**2 * np.eye(len(WALL))
-    return total / runs, Linear.of(np.array(noise), h, covariance, weights)
-
-
 @pytest.mark.parametrize("method", ["ml", "sp"])
 def test_a_random_walk_of_poses_is_consistent_with_its_joint_covariance(method: str):
     """Within 3 % of the linear estimate: with 150 runs the difference of the two means scatters by 0.7 %.
 
     What is neglected beyond first order adds 1 %; the mean of a fit alone scatters as little after 14,000 runs.
     """
-    nees, exact = nees_of(method, runs=150)
+    frame, noise = Plane.from_hesse([0.0, -1.0, 0.0], -2.0, np.zeros((3, 3))).frame, SIGMA_M**2 * np.eye(3)
+    scene = Scene(WALL, np.tile(noise, (len(WALL), 1, 1)), frame, np.zeros(3), INDEX, RANDOM_WALK)
+
+    def fit(points, scene):
+        return fit_plane(points, sigma=SIGMA_M, method=method, viewpoint=scene.sensor, **scene.shared)
+
+    values, _, _ = run(scene, fit, 150, seed=11)
+    exact = linear_run(scene, 150, seed=11, weights=np.ones(len(WALL)) if method == "sp" else None)
     assert_mean_in_band(exact.chi2, 3)
-    assert nees == pytest.approx(exact.chi2.mean(), rel=0.03)
+    assert values.mean() == pytest.approx(exact.chi2.mean(), rel=0.03)
 
 
 def test_independent_scans_are_the_joint_case_without_cross_terms():
