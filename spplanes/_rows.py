@@ -157,25 +157,27 @@ def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @inner(cache=True)
+def add_square(row, w: float, v) -> None:
+    """Add w v v^T to the scatter of a row."""
+    row[5] += w * v[0] * v[0]
+    row[6] += w * v[0] * v[1]
+    row[7] += w * v[0] * v[2]
+    row[8] += w * v[1] * v[1]
+    row[9] += w * v[1] * v[2]
+    row[10] += w * v[2] * v[2]
+
+
+@inner(cache=True)
 def add_point(row, p, w: float) -> None:
     """Add point ``p``, shape (3,), with weight ``w`` to a moment row in place."""
     row[0] += 1.0
     if w <= 0.0:
         return
-    total = row[1] + w
-    dx, dy, dz = p[0] - row[2], p[1] - row[3], p[2] - row[4]
-    share = w / total
-    keep = w * (row[1] / total)
+    total, off = row[1] + w, minus(p, row[2:5])
+    add_square(row, w * (row[1] / total), off)
     row[1] = total
-    row[2] += share * dx
-    row[3] += share * dy
-    row[4] += share * dz
-    row[5] += keep * dx * dx
-    row[6] += keep * dx * dy
-    row[7] += keep * dx * dz
-    row[8] += keep * dy * dy
-    row[9] += keep * dy * dz
-    row[10] += keep * dz * dz
+    for k in range(3):
+        row[2 + k] += w / total * off[k]
 
 
 @njit(cache=True)
@@ -189,20 +191,12 @@ def merge_scaled(out, a, scale_a: float, b, scale_b: float) -> None:
     """`merge_rows` of two rows the weights of which are multiplied by a scale each."""
     wa, wb = a[1] * scale_a, b[1] * scale_b
     total = wa + wb
-    share = wb / total if total > 0.0 else 0.0
-    dx, dy, dz = b[2] - a[2], b[3] - a[3], b[4] - a[4]
-    keep = wa * share
-    out[0] = a[0] + b[0]
-    out[1] = total
-    out[2] = a[2] + share * dx
-    out[3] = a[3] + share * dy
-    out[4] = a[4] + share * dz
-    out[5] = a[5] * scale_a + b[5] * scale_b + keep * dx * dx
-    out[6] = a[6] * scale_a + b[6] * scale_b + keep * dx * dy
-    out[7] = a[7] * scale_a + b[7] * scale_b + keep * dx * dz
-    out[8] = a[8] * scale_a + b[8] * scale_b + keep * dy * dy
-    out[9] = a[9] * scale_a + b[9] * scale_b + keep * dy * dz
-    out[10] = a[10] * scale_a + b[10] * scale_b + keep * dz * dz
+    share, off = wb / total if total > 0.0 else 0.0, minus(b[2:5], a[2:5])
+    out[0], out[1] = a[0] + b[0], total
+    out[2], out[3], out[4] = a[2] + share * off[0], a[3] + share * off[1], a[4] + share * off[2]
+    for k in range(5, 11):
+        out[k] = a[k] * scale_a + b[k] * scale_b
+    add_square(out, wa * share, off)
 
 
 @njit(cache=True)
@@ -232,14 +226,7 @@ def points_row(points, weights, row) -> None:
     row[2], row[3], row[4] = ox + sx / total, oy + sy / total, oz + sz / total
     row[5:11] = 0.0
     for i in range(n):
-        w = weights[i]
-        x, y, z = points[i, 0] - row[2], points[i, 1] - row[3], points[i, 2] - row[4]
-        row[5] += w * x * x
-        row[6] += w * x * y
-        row[7] += w * x * z
-        row[8] += w * y * y
-        row[9] += w * y * z
-        row[10] += w * z * z
+        add_square(row, weights[i], minus(points[i], row[2:5]))
 
 
 @inner(cache=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inner, njit
+from spplanes._rows import add_square, over
 
 
 @njit(cache=True)
@@ -112,11 +113,6 @@ def add_run(sums, points, covariance, i, begin, end, about, normal, floor_varian
 @inner(cache=True)
 def centre_sums(sums, about):
     """Turn sums about a point into moments about their own centre, in place."""
-    x, y, z = sums[2] / sums[1], sums[3] / sums[1], sums[4] / sums[1]
-    sums[5] -= sums[1] * x * x
-    sums[6] -= sums[1] * x * y
-    sums[7] -= sums[1] * x * z
-    sums[8] -= sums[1] * y * y
-    sums[9] -= sums[1] * y * z
-    sums[10] -= sums[1] * z * z
+    x, y, z = over(sums[2:5], sums[1])
+    add_square(sums, -sums[1], (x, y, z))
     sums[2], sums[3], sums[4] = about[0] + x, about[1] + y, about[2] + z

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inlined, njit
-from spplanes._rows import column, dot, in_frame, times
+from spplanes._rows import add_square, column, dot, in_frame, times
 
 #: The variance along the normal is at least this share of the trace: noise along a beam cannot vanish across a plane
 #: that the beam meets at less than 1 mrad, the divergence of a laser beam.
@@ -53,8 +53,8 @@ def start_row(group, power, row) -> None:
         zz += w * z * z
     sx, sy, sz = sx / total, sy / total, sz / total
     row[0], row[1], row[2], row[3], row[4] = n, total, ox + sx, oy + sy, oz + sz
-    row[5], row[6], row[7] = xx - total * sx * sx, xy - total * sx * sy, xz - total * sx * sz
-    row[8], row[9], row[10] = yy - total * sy * sy, yz - total * sy * sz, zz - total * sz * sz
+    row[5], row[6], row[7], row[8], row[9], row[10] = xx, xy, xz, yy, yz, zz
+    add_square(row, -total, (sx, sy, sz))
 
 
 @inlined

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -94,8 +95,7 @@ def shared_error_of(
     return SharedError(float(np.sqrt(common)), np.sqrt(own), factors, total)
 
 
-@dataclass(frozen=True, eq=False)
-class _Patches:
+class _Patches(NamedTuple):
     """What patches of planes say: SIDE^2 of each, P planes."""
 
     weights: FloatArray
@@ -109,9 +109,8 @@ class _Patches:
     within: FloatArray
     """Distance of the points of a patch, and a blur between patches, shape (P,), m."""
     chi2: FloatArray
-    """Of the points about the means of their patches, shape (P,)."""
+    """Of the points about the means of their patches, shape (P,), and its degrees of freedom."""
     dof: FloatArray
-    """Degrees of freedom of that, shape (P,)."""
 
     @classmethod
     def of(

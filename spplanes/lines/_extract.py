@@ -10,17 +10,25 @@ from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner, njit
 from spplanes.fitting._groups import group_by_label
 from spplanes.lines._fit import (
-    between,
     drop_borders,
     drop_doubtful_ends,
     fit_beams,
     grow,
     line_sigmas,
-    start_line,
     trim,
     turning,
 )
-from spplanes.lines._kernels import Beams, beam_moments, find_breaks, order_beams, refine, slope_sigmas, split
+from spplanes.lines._kernels import (
+    Beams,
+    beam_moments,
+    find_breaks,
+    fit_sums,
+    order_beams,
+    refine,
+    slope_sigmas,
+    split,
+    sum_of,
+)
 from spplanes.lines._merge import add_flatness, merge
 from spplanes.lines._round import find_round
 
@@ -89,7 +97,8 @@ def fit_label(beams, moments, breaks, labels, members, rules):
     n_borders = core.size
     core = drop_borders(breaks, labels, core)
     n_borders -= core.size
-    line = start_line(moments, core)
+    u, v, chi2 = fit_sums(sum_of(moments, core))  # in inverse ranges
+    line = np.arctan2(v, u), 1.0 / np.hypot(u, v), 0.0, 0.0, 0.0, chi2
     if rules.bearing_sigma > 0.0:
         sigmas = line_sigmas(beams.bearings, beams.sigmas, line[0], line[1], rules.bearing_sigma)
         beams = Beams(beams.bearings, beams.cosines, beams.sines, beams.ranges, sigmas)
@@ -102,7 +111,8 @@ def fit_label(beams, moments, breaks, labels, members, rules):
         labels[members] = -1
         members = trim(beams, members, line, rules.gate)
         n_before = core.size
-        core = between(core, members[0], members[-1])
+        first, last = np.searchsorted(core, members[0]), np.searchsorted(core, members[-1], side="right")
+        core = core[first:last]
         members = grow(beams, breaks, labels, members, line, rules.gate)
         labels[members] = label
         if core.size == n_before:

@@ -28,12 +28,6 @@ def drop_borders(breaks, labels, members):
     return kept[:count] if count >= 3 else members
 
 
-@inlined
-def between(members, first, last):
-    """Members, which ascend, from the first beam to the last."""
-    return members[np.searchsorted(members, first) : np.searchsorted(members, last, side="right")]
-
-
 @inner(cache=True)
 def drop_doubtful_ends(moments, members):
     """Members without the few beams at each end that the others contradict: those of a surface just beyond."""
@@ -53,13 +47,6 @@ def drop_doubtful_ends(moments, members):
                 low, high = (low + m, high) if side == 0 else (low, high - m)
                 total, whole, m = rest.copy(), chi2, 0
     return members[low:high]
-
-
-@inlined
-def start_line(moments, members):
-    """The line of the inverse-range fit, as `fit_beams` returns it."""
-    u, v, chi2 = fit_sums(sum_of(moments, members))
-    return np.arctan2(v, u), 1.0 / np.hypot(u, v), 0.0, 0.0, 0.0, chi2
 
 
 @inlined
