@@ -29,8 +29,6 @@ from spplanes._check import (
 DIFFERENTIAL = ("x", "y", "z", "phi", "theta", "psi")
 PLANE = (2, 4, 5)
 POSE = (0, 1, 2, 3, 4, 5)
-#: `inverse_transform` is asked so often that making one anew counts.
-_IDENTITY = np.eye(4)
 
 
 def transform_from_rpy(d: ArrayLike) -> FloatArray:
@@ -62,10 +60,8 @@ def rpy_from_transform(transform: ArrayLike) -> FloatArray:
 
 def inverse_transform(transform: FloatArray) -> FloatArray:
     """Inverse of a rigid (4, 4) transform."""
-    inverse = _IDENTITY.copy()
-    turn = transform[:3, :3].T
-    inverse[:3, :3] = turn
-    inverse[:3, 3] = -(turn @ transform[:3, 3])
+    inverse, turn = np.zeros((4, 4)), transform[:3, :3].T
+    inverse[:3, :3], inverse[:3, 3], inverse[3, 3] = turn, -(turn @ transform[:3, 3]), 1.0
     return inverse
 
 

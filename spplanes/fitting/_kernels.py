@@ -133,8 +133,8 @@ def noise_share(sums) -> float:
 
 
 @njit(cache=True)
-def write_covariance(sums, score, to_p, covariance) -> bool:
-    """Write the covariance of (z, theta, psi) at the minimum, H^-1 J H^-1 of the slopes; False where H is singular.
+def write_covariance(sums, score, to_p, covariance) -> int:
+    """Write the covariance of (z, theta, psi) at the minimum, H^-1 J H^-1 of the slopes; the outcome.
 
     H is the information in ``sums`` less the noise along the plane, by which the observed patch looks wider than it is.
     J, the variance of the score, is given by its upper triangle, shape (6,); it is the information itself in the plain
@@ -145,14 +145,14 @@ def write_covariance(sums, score, to_p, covariance) -> bool:
     for k in range(3):
         information[3 + k] -= share * sums[15 + k]
     if not invert3(information, inverse):
-        return False
+        return COLLINEAR
     multiply3(to_p, inverse, product)
     multiply3(product, middle, inverse)
     multiply3(inverse, product.T, middle)
     for j in range(3):
         for k in range(3):
             covariance[j, k] = 0.5 * (middle[j, k] + middle[k, j])
-    return True
+    return OK
 
 
 @njit(cache=True)
@@ -204,6 +204,4 @@ def ml_group(group, viewpoint, frame, covariance, sums) -> int:
     status, to_p = descend(group, np.inf, 1.0, base, sums), np.empty((3, 3))
     if status == OK:
         status = settle(base, sums, viewpoint, frame, to_p)
-    if status != OK:
-        return status
-    return OK if write_covariance(sums, sums[4:10], to_p, covariance) else COLLINEAR
+    return write_covariance(sums, sums[4:10], to_p, covariance) if status == OK else status

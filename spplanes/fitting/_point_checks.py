@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 from spplanes._check import COVARIANCE_TOLERANCE, FloatArray, as_float_array, as_shape
 from spplanes._jit import inlined, njit
 
-#: Coordinates up to this, m, and variances from this on and up to that, m^2: their products stay within floats.
-LARGEST_COORDINATE = 1e15
+#: Variances from this on and up to that, m^2, and coordinates up to the root of that, m: products stay within floats.
 SMALLEST_VARIANCE, LARGEST_VARIANCE = 1e-30, 1e30
 
 
@@ -61,10 +60,10 @@ def _is_plain(covariances, i, least: float, most: float) -> bool:
 def as_points(name: str, value: ArrayLike) -> FloatArray:
     """Return finite points, shape (N, 3), float64, C order."""
     points = _writable(as_shape(name, value, (None, 3), finite=False))
-    if points.size and not (points.max() <= LARGEST_COORDINATE and points.min() >= -LARGEST_COORDINATE):  # NaN, too
-        bad = int(np.argmin((np.abs(points) <= LARGEST_COORDINATE).all(axis=1)))
-        finite = np.isfinite(points[bad]).all()
-        wanted = f"coordinates within {LARGEST_COORDINATE:.0e} m" if finite else "finite numbers"
+    most = LARGEST_VARIANCE**0.5
+    if points.size and not (points.max() <= most and points.min() >= -most):  # NaN, too
+        bad = int(np.argmin((np.abs(points) <= most).all(axis=1)))
+        wanted = f"coordinates within {most:.0e} m" if np.isfinite(points[bad]).all() else "finite numbers"
         raise ValueError(f"{name}: expected {wanted}, got {points[bad].tolist()} at index {bad}")
     return points
 

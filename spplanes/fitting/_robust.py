@@ -184,4 +184,4 @@ def robust_group(group, viewpoint, fractions, frame, covariance, sums) -> int:
         return status
     ring_information(patch, base, narrow, ring)
     discount_outliers(sums, ring, score)
-    return OK if write_covariance(sums, score, to_p, covariance) else COLLINEAR
+    return write_covariance(sums, score, to_p, covariance)

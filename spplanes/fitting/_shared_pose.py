@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_shape
 from spplanes._jit import njit
-from spplanes._rows import COLLINEAR, OK, OPEN_POSES, column, cross, dot, minus
+from spplanes._rows import OK, OPEN_POSES, column, cross, dot, minus
 from spplanes.fitting import _kernels as kernels
 from spplanes.fitting._pose_error import lever, shared_by_scan
 from spplanes.fitting._sums import FLOOR, N_SUMS, accumulate
@@ -193,10 +193,11 @@ def _finish(
     sums, frame, to_p, covariance = np.zeros(N_SUMS), np.empty((4, 4)), np.empty((3, 3)), np.empty((3, 3))
     accumulate((*cloud, np.arange(len(cloud[0])), 0, len(cloud[0])), base, np.inf, sums)
     status = kernels.settle(base, sums, viewpoint, frame, to_p)
-    score, plain = sums[4:10], np.empty((3, 3))
-    if status == OK and not (kernels.invert3(score, plain) and kernels.write_covariance(sums, score, to_p, covariance)):
-        status = COLLINEAR
     if status == OK:
+        status = kernels.write_covariance(sums, sums[4:10], to_p, covariance)
+    if status == OK:
+        plain = np.empty((3, 3))
+        kernels.invert3(sums[4:10], plain)
         covariance += to_p @ (left - plain) @ to_p.T
         covariance = 0.5 * (covariance + covariance.T)
     return status, frame, covariance

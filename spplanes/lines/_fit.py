@@ -8,9 +8,6 @@ from spplanes._jit import inlined, inner
 from spplanes.lines._kernels import N_SUMS, fit_sums, sum_of
 from spplanes.lines._round import solve_symmetric
 
-#: 99 % quantiles of chi2 with 1, 2, 3 dof: what that many end beams may add to the chi2 of the others.
-END_GATES = np.array((7.88, 10.6, 12.84))
-
 
 @inlined
 def drop_borders(breaks, labels, members):
@@ -31,19 +28,20 @@ def drop_borders(breaks, labels, members):
 @inner(cache=True)
 def drop_doubtful_ends(moments, members):
     """Members without the few beams at each end that the others contradict: those of a surface just beyond."""
+    gates = 7.88, 10.6, 12.84  # quantiles of chi2: what 1, 2, 3 end beams may add to the chi2 of the others
     low, high = 0, members.size
     total = sum_of(moments, members)
     whole = fit_sums(total)[2]
     for side in range(2):
         m = 0
         rest = total.copy()
-        while m < END_GATES.size and high - low - m > 4:
+        while m < len(gates) and high - low - m > 4:
             beam = members[low + m] if side == 0 else members[high - 1 - m]
             for i in range(N_SUMS):
                 rest[i] -= moments[beam, i]
             m += 1
             chi2 = fit_sums(rest)[2]
-            if whole - chi2 > END_GATES[m - 1]:
+            if whole - chi2 > gates[m - 1]:
                 low, high = (low + m, high) if side == 0 else (low, high - m)
                 total, whole, m = rest.copy(), chi2, 0
     return members[low:high]

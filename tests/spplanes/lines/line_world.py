@@ -2,30 +2,26 @@
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from spplanes import LineConfig, ScanLine
 
 
-@dataclass(frozen=True, eq=False)
-class World:
-    """What a 2D laser sees."""
+class World(NamedTuple):
+    """What a 2D laser sees: straight walls, shape (K, 2, 2), and pillars as x, y, radius, shape (C, 3), m."""
 
     segments: np.ndarray
-    """Straight walls, shape (K, 2, 2), m."""
     circles: np.ndarray
-    """Pillars as x, y, radius, shape (C, 3), m."""
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """One noise-free scan."""
+class Truth(NamedTuple):
+    """One noise-free scan: the range of each beam, m, NaN = nothing hit, and the segment that it hit, (B,) both; -1 =
+    nothing, -2 and below = circle."""
 
     ranges: np.ndarray
-    """Range of each beam, shape (B,), m; NaN = nothing hit."""
     hits: np.ndarray
-    """Segment hit by each beam, shape (B,); -1 = nothing, -2 and below = circle."""
 
 
 def cast(world: World, angles: np.ndarray, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Truth:
