@@ -25,14 +25,11 @@ BROUGHT = Path(__file__).parent / "_compiled"
 
 
 class Processor(NamedTuple):
-    """What code is compiled for, in terms of LLVM."""
+    """What code is compiled for, as NUMBA_CPU_NAME and NUMBA_CPU_FEATURES; what a processor must have to run it."""
 
     name: str
-    """NUMBA_CPU_NAME."""
     features: str
-    """NUMBA_CPU_FEATURES: what is added to the name."""
     needs: frozenset[str]
-    """What a processor must have for such code to run on it."""
 
 
 PORTABLE = Processor("generic", "", frozenset())  # plain instructions, which all machines of a kind have

@@ -232,10 +232,15 @@ class Plane:
         missing = [key for key in ("normal", "d", "frame", "covariance", "n_points") if key not in data]
         if missing:
             raise ValueError(f"data: expected the key {missing[0]!r}, got {sorted(map(str, data))}")
-        frame = as_transform("frame", data["frame"])
-        _check_agreement(frame, data)
         covariance = as_shape("covariance", data["covariance"], (3, 3))
-        return cls(frame, covariance, data["n_points"], _polygon(data.get("outline")), data.get("chi2", 0.0))
+        plane = cls(data["frame"], covariance, data["n_points"], _polygon(data.get("outline")), data.get("chi2", 0.0))
+        # normal and d are written for readers of the file; the frame is what counts, and they must agree with it
+        normal, d = as_shape("normal", data["normal"], (3,)), as_number("d", data["d"])
+        if np.abs(normal - plane.normal).max() > 1e-6:
+            raise ValueError(f"normal: expected the frame's z axis {plane.normal.tolist()}, got {normal.tolist()}")
+        if abs(d - plane.d) > 1e-6 * max(1.0, float(np.abs(plane.centre).max())):
+            raise ValueError(f"d: expected the frame's distance {plane.d}, got {d}")
+        return plane
 
     def _moment_row(self, name: str) -> FloatArray:
         """Moment row of in-plane points with this plane's information, and its chi2 along the normal."""
@@ -265,16 +270,6 @@ def _points(value: ArrayLike) -> FloatArray:
     if points.ndim not in (1, 2) or points.shape[-1] != 3:
         raise ValueError(f"points: expected shape (N, 3) or (3,), got {points.shape}")
     return points
-
-
-def _check_agreement(frame: np.ndarray, data: dict[str, Any]) -> None:
-    """Normal and d are written for readers of the file; the frame is what counts, and they must agree with it."""
-    normal, d = as_shape("normal", data["normal"], (3,)), as_number("d", data["d"])
-    distance = float(frame[:3, 2] @ frame[:3, 3])
-    if np.abs(normal - frame[:3, 2]).max() > 1e-6:
-        raise ValueError(f"normal: expected the frame's z axis {frame[:3, 2].tolist()}, got {normal.tolist()}")
-    if abs(d - distance) > 1e-6 * max(1.0, float(np.abs(frame[:3, 3]).max())):
-        raise ValueError(f"d: expected the frame's distance {distance}, got {d}")
 
 
 def _polygon(rings: Any) -> Polygon | None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from tests.spplanes.scenes import beam_covariances
 from tests.statistics import assert_mean_in_band
 
 SIGMA = 0.01
-SMALL = {"strip_scans": 16, "lookahead_scans": 4}
+SMALL = MapperConfig(strip_scans=16, lookahead_scans=4)
 #: Of the planes of the corridor.
 NORMALS, DISTANCES = np.array([(0, -1, 0), (0, 1, 0), (0, 0, -1)]), (-1.0, -1.0, -1.5)
 
@@ -28,7 +30,13 @@ def corridor(n_scans, seed=0, n_beams=120, sigma=SIGMA):
     return points, covariances, eyes, np.tile(side, (n_scans, 1))
 
 
-def build(scans, config=None, **kwargs):
+def standing(points, covariance):
+    """Scans seen from the origin, all points as uncertain."""
+    points = np.asarray(points)
+    return points, np.broadcast_to(covariance, (*points.shape, 3)), np.zeros((len(points), 3)), None
+
+
+def build(scans, config=SMALL, **kwargs):
     mapper = PlaneMapper(config)
     points, covariances, eyes, _ = scans
     for k in range(len(points)):
@@ -38,7 +46,7 @@ def build(scans, config=None, **kwargs):
 
 def test_corridor_is_two_walls_and_a_ceiling():
     scans = corridor(100)
-    mapper = build(scans, MapperConfig(**SMALL, keep_labels=True))
+    mapper = build(scans, replace(SMALL, keep_labels=True))
     planes, labels = mapper.planes, mapper.labels()
     assert len(planes) == 3
     assert mapper.n_points_seen == 100 * 120
@@ -57,7 +65,7 @@ def test_incremental_agrees_with_all_at_once():
     labels, once = segment_scans(points, covariances, viewpoints=eyes)
     flat = points.reshape(-1, 3), covariances.reshape(-1, 3, 3), labels.ravel()
     whole = fit_planes(*flat, shared_error=False)  # at seams as well, where the mapper leaves nothing out
-    bit_by_bit = build((points, covariances, eyes, None), MapperConfig(**SMALL)).planes
+    bit_by_bit = build((points, covariances, eyes, None)).planes
     assert len(once) == len(bit_by_bit) == 3
     for plane, with_seams in zip(once, whole, strict=True):
         other = min(bit_by_bit, key=lambda q: -(q.normal @ plane.normal))
@@ -68,23 +76,23 @@ def test_incremental_agrees_with_all_at_once():
 
 def test_looking_at_the_planes_changes_nothing():
     scans = corridor(40, 2)
-    watched = PlaneMapper(MapperConfig(**SMALL))
+    watched = PlaneMapper(SMALL)
     for k in range(40):
         watched.add_scan(scans[0][k], scans[1][k], viewpoint=scans[2][k])
         assert watched.n_points_represented <= watched.n_points_seen == (k + 1) * 120
         assert isinstance(watched.planes, list)
-    assert watched.planes == build(scans, MapperConfig(**SMALL)).planes
+    assert watched.planes == build(scans).planes
 
 
 def test_memory_grows_with_planes_not_with_scans():
-    short, long = (build(corridor(n, 3), MapperConfig(**SMALL, outline_cell_m=0.5)) for n in (100, 400))
+    short, long = (build(corridor(n, 3), replace(SMALL, outline_cell_m=0.5)) for n in (100, 400))
     assert long.memory_bytes - short.memory_bytes < 0.05 * 300 * 120 * 24
     with pytest.raises(ValueError, match="keep_labels"):
         short.labels()
 
 
 def test_nothing_seen():
-    mapper = PlaneMapper(MapperConfig(**SMALL, keep_labels=True))
+    mapper = PlaneMapper(replace(SMALL, keep_labels=True))
     assert (mapper.planes, mapper.n_points_seen, mapper.n_points_represented) == ([], 0, 0)
     for _ in range(50):
         mapper.add_scan(np.full((7, 3), np.nan), np.full((7, 3, 3), np.nan))
@@ -146,20 +154,15 @@ def test_all_scans_have_as_many_beams_and_viewpoints_come_with_all_or_none(n_bea
     ids=["no beam", "one beam", "zero range", "infinite range", "a robot that stands still"],
 )
 def test_scans_that_span_no_plane_are_points(scan, n_scans):
-    mapper = PlaneMapper(MapperConfig(**SMALL))
-    for _ in range(n_scans):
-        mapper.add_scan(scan, np.tile(1e-4 * np.eye(3), (len(scan), 1, 1)), viewpoint=np.zeros(3))
+    mapper = build(standing([scan] * n_scans, 1e-4 * np.eye(3)))
     assert mapper.planes == []
     assert mapper.n_points_represented == 0
     assert mapper.n_points_seen == n_scans * int(np.isfinite(scan).all(axis=1).sum())
 
 
 def test_exact_points_and_singular_covariances_are_fine():
-    mapper = PlaneMapper(MapperConfig(**SMALL))
-    for x in np.arange(40) * 0.02:
-        scan = np.column_stack((np.full(90, x), np.linspace(0.0, 3.0, 90), np.ones(90)))
-        mapper.add_scan(scan, np.tile(np.diag([0.0, 0.0, 1e-4]), (90, 1, 1)), viewpoint=np.zeros(3))
-    (plane,) = mapper.planes
+    scans = np.stack(np.meshgrid(np.arange(40) * 0.02, np.linspace(0.0, 3.0, 90), 1.0, indexing="ij"), axis=-1)
+    (plane,) = build(standing(scans[:, :, 0], np.diag([0.0, 0.0, 1e-4]))).planes
     np.testing.assert_allclose(plane.normal, [0.0, 0.0, -1.0], atol=1e-12)
     assert np.isfinite(plane.covariance).all()
 
@@ -210,8 +213,8 @@ def test_merged_sums_are_those_of_the_union():
 def test_shared_pose_errors_reach_the_planes():
     scans = corridor(40, 6)
     pose = np.diag([0.0, 1e-4, 0.0, 0.0, 0.0, 0.0])
-    plain = build(scans, MapperConfig(**SMALL)).planes
-    shared = build(scans, MapperConfig(**SMALL, pose_correlation_scans=1e9), pose_covariance=pose).planes
+    plain = build(scans).planes
+    shared = build(scans, replace(SMALL, pose_correlation_scans=1e9), pose_covariance=pose).planes
     for plane in plain:
         other = max(shared, key=lambda q: q.normal @ plane.normal)
         sideways = abs(plane.normal[1]) > 0.5
@@ -223,7 +226,7 @@ def test_planes_of_slanted_beams_err_as_their_covariance_says():
     values = []
     for seed in range(15):
         points, covariances, eyes, side = corridor(100, 20 + seed, sigma=0.03)
-        for plane in build((points, covariances, eyes, side), MapperConfig(**SMALL)).planes:
+        for plane in build((points, covariances, eyes, side)).planes:
             k = int(np.argmax(NORMALS @ plane.normal))
             values.append(plane.mahalanobis(Plane.from_hesse(NORMALS[k], DISTANCES[k], np.zeros((3, 3)))))
     assert len(values) == 45
