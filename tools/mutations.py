@@ -120,7 +120,7 @@ spplanes/_hesse.py  tests/spplanes/test_plane.py
 fitting: pose errors stay where they are while they are integrated out
 spplanes/fitting/_shared_pose.py
 tests/spplanes/fitting/test_joint_pose.py::test_the_plane_is_the_likeliest_whatever_the_tilts_were
--u - follow @ (z, theta, psi)
+-u - follow @ step
 +u
 
 covariance: of a motion, turned the wrong way

@@ -24,6 +24,7 @@ from spplanes._rows import (
     over,
     row_frame,
     symmetric3,
+    times,
     write_frame,
 )
 from spplanes.fitting._sums import accumulate, sp_covariance, start_row
@@ -71,8 +72,9 @@ def multiply3(a, b, out) -> None:
 
 
 @njit(cache=True)
-def move_frame(source, b0, ax, ay, target) -> None:
+def move_frame(source, slopes, target) -> None:
     """Write to ``target`` the frame ``source`` moved onto the plane z = b0 + ax x + ay y, its x axis kept in plane."""
+    b0, ax, ay = slopes
     length = math.sqrt(1.0 + ax * ax + ay * ay)
     normal, x, origin = np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
@@ -91,13 +93,12 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
     stretches the step for a robust cost, whose expected curvature is below its weights' sum. A step that does not lower
     the cost is halved."""
     inverse, base = np.empty((3, 3)), frame.copy()
-    b0 = ax = ay = 0.0
-    best = np.inf
+    step, best = (0.0, 0.0, 0.0), np.inf
     for _ in range(MAX_ITERATIONS):
         accumulate(group, frame, cutoff2, sums)
         if sums[0] > best * (1.0 + 1e-12) + 1e-12:
-            b0, ax, ay = 0.5 * b0, 0.5 * ax, 0.5 * ay
-            move_frame(base, b0, ax, ay, frame)
+            step = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]
+            move_frame(base, step, frame)
             continue
         if sums[18] < 3.0:
             return TOO_FEW
@@ -105,12 +106,10 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
             return COLLINEAR
         best = sums[0]
         copy_into(base, frame)
-        g0, g1, g2 = gain * sums[1], gain * sums[2], gain * sums[3]
-        b0 = inverse[0, 0] * g0 + inverse[0, 1] * g1 + inverse[0, 2] * g2
-        ax = inverse[1, 0] * g0 + inverse[1, 1] * g1 + inverse[1, 2] * g2
-        ay = inverse[2, 0] * g0 + inverse[2, 1] * g1 + inverse[2, 2] * g2
-        move_frame(base, b0, ax, ay, frame)
-        if b0 * g0 + ax * g1 + ay * g2 < TOLERANCE:
+        gradient = gain * sums[1], gain * sums[2], gain * sums[3]
+        step = times(inverse, gradient)
+        move_frame(base, step, frame)
+        if dot(step, gradient) < TOLERANCE:
             break
     return OK
 

@@ -140,7 +140,7 @@ def fit_shared_pose(
         step_b = left @ gradient
         step_u = solved[..., 3] - solved[..., :3] @ step_b
         u += step_u
-        kernels.move_frame(base.copy(), step_b[0], step_b[1], step_b[2], base)
+        kernels.move_frame(base.copy(), (*step_b,), base)
         if gradient @ step_b < kernels.TOLERANCE and np.sum(step_u * step_u) < kernels.TOLERANCE:
             break
     return *_finish(cloud, viewpoint, base, left), chi2
@@ -177,9 +177,9 @@ def _volume_gradient(
     for k in range(3):
         volumes = []
         for sign in (1.0, -1.0):
-            z, theta, psi = (sign * by[j] * (j == k) for j in range(3))
-            kernels.move_frame(base, z, theta, psi, moved)
-            middle = _normal_equations(cloud, shared, moved, u - follow @ (z, theta, psi))[4]
+            step = sign * by * np.eye(3)[k]
+            kernels.move_frame(base, (*step,), moved)
+            middle = _normal_equations(cloud, shared, moved, u - follow @ step)[4]
             volumes.append(np.linalg.slogdet(middle)[1].sum())
         gradient[k] = (volumes[0] - volumes[1]) / (2.0 * by[k])
     return gradient
