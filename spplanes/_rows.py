@@ -157,14 +157,14 @@ def solve3(matrix, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @inner(cache=True)
-def add_square(row, w: float, v) -> None:
-    """Add w v v^T to the scatter of a row."""
-    row[5] += w * v[0] * v[0]
-    row[6] += w * v[0] * v[1]
-    row[7] += w * v[0] * v[2]
-    row[8] += w * v[1] * v[1]
-    row[9] += w * v[1] * v[2]
-    row[10] += w * v[2] * v[2]
+def add_square(upper, w: float, v) -> None:
+    """Add w v v^T to a matrix by its upper triangle, (6,)."""
+    upper[0] += w * v[0] * v[0]
+    upper[1] += w * v[0] * v[1]
+    upper[2] += w * v[0] * v[2]
+    upper[3] += w * v[1] * v[1]
+    upper[4] += w * v[1] * v[2]
+    upper[5] += w * v[2] * v[2]
 
 
 @inner(cache=True)
@@ -174,7 +174,7 @@ def add_point(row, p, w: float) -> None:
     if w <= 0.0:
         return
     total, off = row[1] + w, minus(p, row[2:5])
-    add_square(row, w * (row[1] / total), off)
+    add_square(row[5:], w * (row[1] / total), off)
     row[1] = total
     for k in range(3):
         row[2 + k] += w / total * off[k]
@@ -196,7 +196,7 @@ def merge_scaled(out, a, scale_a: float, b, scale_b: float) -> None:
     out[2], out[3], out[4] = a[2] + share * off[0], a[3] + share * off[1], a[4] + share * off[2]
     for k in range(5, 11):
         out[k] = a[k] * scale_a + b[k] * scale_b
-    add_square(out, wa * share, off)
+    add_square(out[5:], wa * share, off)
 
 
 @njit(cache=True)
@@ -226,7 +226,7 @@ def points_row(points, weights, row) -> None:
     row[2], row[3], row[4] = ox + sx / total, oy + sy / total, oz + sz / total
     row[5:11] = 0.0
     for i in range(n):
-        add_square(row, weights[i], minus(points[i], row[2:5]))
+        add_square(row[5:], weights[i], minus(points[i], row[2:5]))
 
 
 @inner(cache=True)

@@ -97,22 +97,14 @@ def add_run(sums, points, covariance, i, begin, end, about, normal, floor_varian
         sw, sx, sy, sz = sw + w, sx + wx, sy + wy, sz + wz
         xx, xy, xz = xx + wx * x, xy + wx * y, xz + wx * z
         yy, yz, zz = yy + wy * y, yz + wy * z, zz + wz * z
-    sums[0] += end - begin
-    sums[1] += sw
-    sums[2] += sx
-    sums[3] += sy
-    sums[4] += sz
-    sums[5] += xx
-    sums[6] += xy
-    sums[7] += xz
-    sums[8] += yy
-    sums[9] += yz
-    sums[10] += zz
+    added = float(end - begin), sw, sx, sy, sz, xx, xy, xz, yy, yz, zz
+    for k in range(11):
+        sums[k] += added[k]
 
 
 @inner(cache=True)
 def centre_sums(sums, about):
     """Turn sums about a point into moments about their own centre, in place."""
     x, y, z = over(sums[2:5], sums[1])
-    add_square(sums, -sums[1], (x, y, z))
+    add_square(sums[5:], -sums[1], (x, y, z))
     sums[2], sums[3], sums[4] = about[0] + x, about[1] + y, about[2] + z

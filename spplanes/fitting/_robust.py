@@ -16,7 +16,7 @@ import numpy as np
 
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, inner
-from spplanes._rows import COLLINEAR, OK, column, copy_into, cross, dot, in_frame, minus, over, write_frame
+from spplanes._rows import COLLINEAR, OK, add_square, column, copy_into, cross, dot, in_frame, minus, over, write_frame
 from spplanes.fitting._kernels import descend, invert3, settle, write_covariance
 from spplanes.fitting._sums import FLOOR
 
@@ -135,13 +135,7 @@ def ring_information(group, frame, cutoff2, ring) -> None:
         x, y, z, variance = locate(group, k, frame)
         if not cutoff2 <= z * z / variance < 4.0 * cutoff2:
             continue
-        w = 1.0 / variance
-        ring[0] += w
-        ring[1] += w * x
-        ring[2] += w * y
-        ring[3] += w * x * x
-        ring[4] += w * x * y
-        ring[5] += w * y * y
+        add_square(ring, 1.0 / variance, (1.0, x, y))
 
 
 @inner(cache=True)

@@ -54,7 +54,7 @@ def start_row(group, power, row) -> None:
     sx, sy, sz = sx / total, sy / total, sz / total
     row[0], row[1], row[2], row[3], row[4] = n, total, ox + sx, oy + sy, oz + sz
     row[5], row[6], row[7], row[8], row[9], row[10] = xx, xy, xz, yy, yz, zz
-    add_square(row, -total, (sx, sy, sz))
+    add_square(row[5:], -total, (sx, sy, sz))
 
 
 @inlined
