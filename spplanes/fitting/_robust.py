@@ -93,22 +93,18 @@ def patch_points(group, frame, cutoff2, kept) -> int:
     and spread are of the points within ``cutoff2`` and the patch, until the patch no longer changes."""
     _, _, order, lo, hi = group
     mx = my = xx = xy = yy = 0.0
-    before = -1.0
+    sums, before = np.empty(6), -1.0
     for turn in range(10):
-        n = sx = sy = sxx = sxy = syy = 0.0
+        sums[:] = 0.0
         for k in range(lo, hi):
             x, y, z, variance = locate(group, k, frame)
             if z * z / variance < cutoff2 and (turn == 0 or within_patch(x - mx, y - my, xx, xy, yy)):
-                n += 1.0
-                sx += x
-                sy += y
-                sxx += x * x
-                sxy += x * y
-                syy += y * y
+                add_square(sums, 1.0, (1.0, x, y))
+        n = sums[0]
         if n < 3.0:
             return 0
-        mx, my = sx / n, sy / n
-        xx, xy, yy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+        mx, my = sums[1] / n, sums[2] / n
+        xx, xy, yy = sums[3] / n - mx * mx, sums[4] / n - mx * my, sums[5] / n - my * my
         if n == before:
             break
         before = n
@@ -128,21 +124,11 @@ def within_patch(x, y, xx, xy, yy) -> bool:
 
 
 @inner(cache=True)
-def ring_information(group, frame, cutoff2, ring) -> None:
-    """Add to ``ring`` (6,) the unweighted information, sum w h h^T, of the points between one and two cutoffs off:
-    outliers, as many as hide within the cutoff where they are spread evenly."""
-    for k in range(group[3], group[4]):
-        x, y, z, variance = locate(group, k, frame)
-        if not cutoff2 <= z * z / variance < 4.0 * cutoff2:
-            continue
-        add_square(ring, 1.0 / variance, (1.0, x, y))
-
-
-@inner(cache=True)
 def discount_outliers(sums, ring, score) -> None:
     """Turn the weights' information in ``sums`` into the curvature of the cost, and write the variance of its score.
-    Inliers bring curvature SLOPE and variance SCORE; outliers within the cutoff, as many as in the ring, no curvature
-    but variance OUT_SCORE. They are believed in as far as a fifth of the information is left without them."""
+    Inliers bring curvature SLOPE and variance SCORE; outliers within the cutoff, whose information without Tukey's
+    weights, sum w h h^T, is as ``ring`` (6,), no curvature but variance OUT_SCORE. They are believed in as far as a
+    fifth of the information is left without them."""
     inverse, left, part = np.empty((3, 3)), np.empty(6), OUT_WEIGHT
     while True:
         for k in range(6):
@@ -176,6 +162,9 @@ def robust_group(group, viewpoint, fractions, frame, covariance, sums) -> int:
         status = settle(base, sums, viewpoint, frame, to_p)
     if status != OK:
         return status
-    ring_information(patch, base, narrow, ring)
+    for k in range(patch[4]):  # outliers one to two cutoffs off, as many as hide within it where they are spread evenly
+        x, y, z, variance = locate(patch, k, base)
+        if narrow <= z * z / variance < 4.0 * narrow:
+            add_square(ring, 1.0 / variance, (1.0, x, y))
     discount_outliers(sums, ring, score)
     return write_covariance(sums, score, to_p, covariance)
