@@ -15,8 +15,9 @@ from spplanes._rows import NO_VIEWPOINT, OK, ROW_SIZE, TOO_FEW, row_frame
 from spplanes._threads import in_parts
 from spplanes.fitting import _kernels as kernels
 from spplanes.fitting._point_checks import LARGEST_VARIANCE, SMALLEST_VARIANCE, as_covariances, as_points
+from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.fitting._robust import CUTOFF, FRACTIONS, robust_group
-from spplanes.fitting._shared_pose import SharedPose, fit_shared_pose, sp_pose_term, with_pose_errors
+from spplanes.fitting._shared_pose import SharedPose, fit_shared_pose, sp_pose_term
 from spplanes.fitting._sums import N_SUMS, start_row
 from spplanes.plane import Plane
 
@@ -180,7 +181,9 @@ def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:
 def _inliers(job: FitJob, shared: SharedPose) -> np.ndarray:
     """Indices of the points that a robust fit keeps, their scans' pose errors folded into their own covariances."""
     n = len(job.points)
-    noise = with_pose_errors(job.points, job.covariances, shared)
+    poses = shared.roots_by_scan @ shared.roots_by_scan.transpose(0, 2, 1)
+    folded = shared_by_scan(job.points[:, None], poses[shared.scan], shared.origins[shared.scan])
+    noise = job.covariances + folded.reshape(-1, 3, 3)
     fits = fit_groups(replace(job, covariances=noise, shared=None), np.arange(n), np.array([0, n]))
     if fits.status[0] != OK:
         return np.arange(0)

@@ -18,7 +18,7 @@ from spplanes._check import FloatArray, as_covariance, as_covariance_stack, as_s
 from spplanes._jit import njit
 from spplanes._rows import OK, OPEN_POSES, column, cross, dot, minus
 from spplanes.fitting import _kernels as kernels
-from spplanes.fitting._pose_error import lever, shared_by_scan
+from spplanes.fitting._pose_error import lever
 from spplanes.fitting._sums import FLOOR, N_SUMS, accumulate
 
 #: Points and their covariances, as in the kernels.
@@ -218,12 +218,6 @@ def sp_pose_term(
         derivative = derivative.transpose(1, 0, 2).reshape(1, 3, -1)
     half = derivative @ shared.roots
     return np.einsum("sij,skj->ik", half, half)
-
-
-def with_pose_errors(points: FloatArray, covs: FloatArray, shared: SharedPose) -> FloatArray:
-    """Covariances of points with their scan's pose error folded in, shape (N, 3, 3): to judge single points by."""
-    own = shared.roots_by_scan @ shared.roots_by_scan.transpose(0, 2, 1)
-    return covs + shared_by_scan(points[:, None], own[shared.scan], shared.origins[shared.scan]).reshape(-1, 3, 3)
 
 
 @njit(cache=True)

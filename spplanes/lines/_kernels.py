@@ -27,8 +27,6 @@ class Beams(NamedTuple):
 
 
 N_SUMS = 6
-#: Chi2 a parameter must earn when the place of a split is chosen: the 95 % quantile of chi2 with 1 dof, rounded up.
-PARAMETER_COST = 4.0
 
 
 @inlined
@@ -150,11 +148,12 @@ def find_breaks(beams, max_step, gate):
 @inner(cache=True)
 def best_split(moments, low, high, cost):
     """Where two lines explain low..high-1 best: (first beam of the second line, chi2 gained over one line). Into
-    `cost`, scratch of `high` floats, goes chi2 plus PARAMETER_COST for each parameter used: without it two beams, which
-    some line always fits, would leave the longer piece for nothing."""
+    `cost`, scratch of `high` floats, goes chi2 and what each parameter used must earn of it: without that two beams,
+    which some line always fits, would leave the longer piece for nothing."""
+    parameter = 4.0  # the 95 % quantile of chi2 with 1 dof, rounded up
     cc = cs = ss = cq = sq = qq = before = 0.0  # scalars: an array of six sums would be written back at every beam
     for k in range(low, high):
-        cost[k] = before + PARAMETER_COST * min(2, k - low)
+        cost[k] = before + parameter * min(2, k - low)
         cc, cs, ss = cc + moments[k, 0], cs + moments[k, 1], ss + moments[k, 2]
         cq, sq, qq = cq + moments[k, 3], sq + moments[k, 4], qq + moments[k, 5]
         before = fit_of(cc, cs, ss, cq, sq, qq)[2]
@@ -163,10 +162,10 @@ def best_split(moments, low, high, cost):
     for k in range(high - 1, low, -1):
         cc, cs, ss = cc + moments[k, 0], cs + moments[k, 1], ss + moments[k, 2]
         cq, sq, qq = cq + moments[k, 3], sq + moments[k, 4], qq + moments[k, 5]
-        cost[k] += fit_of(cc, cs, ss, cq, sq, qq)[2] + PARAMETER_COST * min(2, high - k)
+        cost[k] += fit_of(cc, cs, ss, cq, sq, qq)[2] + parameter * min(2, high - k)
         if cost[k] < best:
             best, at = cost[k], k
-    return at, before + 4.0 * PARAMETER_COST - best
+    return at, before + 4.0 * parameter - best
 
 
 @inlined
