@@ -78,7 +78,8 @@ class Moments:
     @classmethod
     def from_row(cls, row: FloatArray) -> Moments:
         """Moments of a kernel row, shape (11,)."""
-        return cls(int(row[0]), float(row[1]), np.array(row[2:5]), _rows.symmetric3(row[5:]))
+        row = np.array(row, dtype=np.float64)
+        return cls(int(row[0]), float(row[1]), row[2:5], _rows.symmetric3(row[5:]))
 
     def as_row(self) -> FloatArray:
         """The same as a kernel row, shape (11,)."""
