@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 from spplanes._rows import solve3
 
-#: Points of the map are of the surface at a return within this of it, m, with normals nearer than this cosine.
-_RADIUS_M, _ALIKE = 0.2, 0.7
-#: Width of the weights with which the map's points about a return make its surface, m.
-_SMOOTH_M = 0.08
 #: Returns weigh a quarter at so many standard deviations.
 _DOUBTED = 3.0
 
 
-class Returns(NamedTuple):
-    """Returns of a scan, as `Surface` has them."""
-
-    points: FloatArray
-    normals: FloatArray
-    variance: FloatArray
-    looks: FloatArray
-    turns: FloatArray
-
-
 @inlined
 def _surface_at(x, y, nx, ny, there):
-    """The surface of a map's `Cells` at a place: whether there is one, its signed distance and its normal."""
+    """The surface of a map's `Cells` at a place: whether there is one, its signed distance and its normal.
+
+    It is that of the points within a cell's width whose normals are alike.
+    """
+    smooth_m = 0.08  # width of the weights with which points make the surface
     column = int(np.floor((x - there.origin[0]) / there.cell))
     row = int(np.floor((y - there.origin[1]) / there.cell))
     weight = qx = qy = mx = my = 0.0
@@ -38,13 +25,13 @@ def _surface_at(x, y, nx, ny, there):
         for c in range(max(column - 1, 0), min(column + 2, there.columns)):
             home = r * there.columns + c
             for k in range(there.start[home], there.start[home + 1]):
-                if there.normals[k, 0] * nx + there.normals[k, 1] * ny < _ALIKE:
+                if there.normals[k, 0] * nx + there.normals[k, 1] * ny < 0.7:
                     continue
                 dx, dy = there.points[k, 0] - x, there.points[k, 1] - y
                 squared = dx * dx + dy * dy
-                if squared > _RADIUS_M * _RADIUS_M:
+                if squared > there.cell * there.cell:
                     continue
-                near = there.weights[k] / (_SMOOTH_M * _SMOOTH_M + squared) ** 2
+                near = there.weights[k] / (smooth_m * smooth_m + squared) ** 2
                 weight += near
                 qx += near * dx
                 qy += near * dy
@@ -69,7 +56,7 @@ def align(pose, scan, there, expected, information, rounds, first_m):
 
     Args:
         pose: where to start, shape (3,).
-        scan: `Returns`.
+        scan: its `Surface`.
         there: `Cells` of the map.
         expected, information: the prior, shapes (3,) and (3, 3).
         rounds: at most.

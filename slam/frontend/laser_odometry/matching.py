@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
 from slam.frontend.information import inverted, positive
-from slam.frontend.laser_odometry._match_kernels import Returns, align, score_box
+from slam.frontend.laser_odometry._match_kernels import align, score_box
 from slam.frontend.laser_odometry.local_map import TABLE_CELL_M, LocalMap, Surface
 from slam.frontend.occupancy._kernels import score_motions
 from slam.frontend.occupancy.raster import CELL_M as RASTER_CELL_M
 from slam.frontend.odometry import difference
 from spplanes._check import FloatArray
 
-#: Rounds of Gauss-Newton.
-_ROUNDS = 15
 #: Returns off by less than this are found without a search, m.
 _BASIN_M = 0.12
-#: The search reaches so many standard deviations, at most so far at first, m and rad; where the best lies at its edge,
-#: or nothing in it fits as usual, it is doubled, so many times, and ends here.
-_SIGMAS, _FIRST_BOX, _WIDENINGS, _LARGEST_BOX = 4.0, (1.0, 0.6), 3, (4.0, np.pi)
-_LEAST_BOX = (0.2, 0.1)
-#: Modes of the search that are looked at, if they are this share as near as the best.
-_MODES, _RIVAL = 5, 0.75
-#: A scan fits worse than scans before it where its share lies so many standard deviations below theirs; a motion
-#: contradicts the wheels beyond this chi2 (1e-3 for three degrees of freedom).
-_SIGNIFICANT, _CONTRADICTS = 3.0, 16.3
+#: The search reaches so many standard deviations.
+_SIGMAS = 4.0
 #: Places nearer than this are one, m and rad.
 _SAME = np.array((0.1, 0.1, 0.05))
 
@@ -55,22 +46,14 @@ class Match:
     """What the returns alone say of the pose, in the map's axes, shape (3, 3)."""
     fit: float
     """Share of what was seen that the map has."""
-    odds: float
-    """Probability that it is not one of the other places looked at."""
-    spread: FloatArray
-    """Covariance over the places it could be, beyond that of each, shape (3, 3)."""
+    misfit: float
+    """Half of the chi2 of what was seen beyond what it is expected to be."""
     way: int
     """In which of the ways the body moved."""
-
-
-class _Found(NamedTuple):
-    """One alignment."""
-
-    pose: FloatArray
-    information: FloatArray
-    fit: float
-    misfit: float
-    way: int
+    odds: float = 1.0
+    """Probability that it is not one of the other places looked at."""
+    spread: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    """Covariance over the places it could be, beyond that of each, shape (3, 3)."""
 
 
 def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usual_fit: float) -> Match:
@@ -94,59 +77,57 @@ def match_scan(surface: Surface, there: LocalMap, ways: Sequence[Expected], usua
     far = float(np.quantile(np.hypot(*surface.points.T), 0.75))
     found = [_aligned(surface, there, ways[0].pose, ways, 0)]
     if not _is_doubtful(found[0], surface, ways[0], usual_fit, far):
-        one = found[0]
-        return Match(one.pose, one.information, one.fit, 1.0, np.zeros((3, 3)), one.way)
+        return found[0]
     for way in range(len(ways)):
         found.append(_aligned(surface, there, found[0].pose, ways, way))
         found += _searched(surface, there, ways, way, usual_fit, far)
     return _most_probable(found, surface, there, ways)
 
 
-def _is_doubtful(found: _Found, surface: Surface, expected: Expected, usual_fit: float, far: float) -> bool:
+def _is_doubtful(found: Match, surface: Surface, expected: Expected, usual_fit: float, far: float) -> bool:
     """Whether an alignment from the expected pose on may have ended beside the truth."""
     if _fits_worse(found, surface, usual_fit):
         return True
     sigmas, error = np.sqrt(np.diag(expected.covariance)), found.pose - expected.pose
     if _SIGMAS * max(float(sigmas[:2].max()), float(sigmas[2]) * far) > 2.0 * _BASIN_M:
         return True
-    return float(error @ np.linalg.solve(expected.covariance, error)) > _CONTRADICTS
+    return float(error @ np.linalg.solve(expected.covariance, error)) > 16.3  # 1e-3 for three degrees of freedom
 
 
-def _fits_worse(found: _Found, surface: Surface, usual_fit: float) -> bool:
+def _fits_worse(found: Match, surface: Surface, usual_fit: float) -> bool:
     """Whether significantly less of a scan fits than of scans before it."""
     independent = max(float(surface.looks.sum()), 1.0)
-    return usual_fit - found.fit > _SIGNIFICANT * np.sqrt(usual_fit * (1.0 - usual_fit) / independent)
+    return usual_fit - found.fit > 3.0 * np.sqrt(usual_fit * (1.0 - usual_fit) / independent)
 
 
-def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> _Found:
-    scan = Returns(surface.points, surface.normals, surface.variance, surface.looks, surface.turns)
+def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> Match:
     prior = ways[way].pose, inverted(ways[way].covariance)
-    pose, told, erring, far, fit, misfit = align(start, scan, there.cells, *prior, _ROUNDS, 2.0 * _BASIN_M)
+    pose, told, erring, far, fit, misfit = align(start, surface, there.cells, *prior, 15, 2.0 * _BASIN_M)
     # less what errs of it, not below none; a turn counts by its arc at `far`
     scale = np.outer((1.0, 1.0, far), (1.0, 1.0, far))
-    return _Found(pose, positive((told - erring) / scale) * scale, fit, misfit, way)
+    return Match(pose, positive((told - erring) / scale) * scale, fit, misfit, way)
 
 
 def _searched(
     surface: Surface, there: LocalMap, ways: Sequence[Expected], way: int, usual_fit: float, far: float
-) -> list[_Found]:
-    """Alignments from all modes in the box of one way.
+) -> list[Match]:
+    """Alignments from all modes in the box of one way, at first at most 1 m and 0.6 rad to either side.
 
-    The box is made wider where the best of it lies at its edge; as far as the way reaches also where nothing in it fits
-    as usual.
+    The box is doubled, three times at most, where the best of it lies at its edge; as far as the way reaches also where
+    nothing in it fits as usual.
     """
     sigmas = np.sqrt(np.diag(ways[way].covariance))
     full = _SIGMAS * sigmas[:2].max(), _SIGMAS * sigmas[2]
-    reach = [min(max(one, least), most) for one, least, most in zip(full, _LEAST_BOX, _FIRST_BOX, strict=True)]
-    found: list[_Found] = []
-    for widening in range(_WIDENINGS + 1):
+    reach = [min(max(one, least), most) for one, least, most in zip(full, (0.2, 0.1), (1.0, 0.6), strict=True)]
+    found: list[Match] = []
+    for widening in range(4):
         coarser = 2.0 if widening else 1.0  # of cells and turns: an alignment finds what lies within them
         modes, shifted, turned = _modes(surface, there, ways[way].pose, reach, far, coarser)
         found += [_aligned(surface, there, mode, ways, way) for mode in modes]
         unlike = all(_fits_worse(one, surface, usual_fit) for one in found)
         wider = [
             min(r * (1 + (at_edge or (unlike and r < whole))), largest)
-            for r, whole, at_edge, largest in zip(reach, full, (shifted, turned), _LARGEST_BOX, strict=True)
+            for r, whole, at_edge, largest in zip(reach, full, (shifted, turned), (4.0, np.pi), strict=True)
         ]
         if wider == reach:
             break
@@ -157,33 +138,34 @@ def _searched(
 def _modes(
     surface: Surface, there: LocalMap, centre: FloatArray, reach: Sequence[float], far: float, coarser: float
 ) -> tuple[list[FloatArray], bool, bool]:
-    """Poses in a box, so many m and rad to either side, about which the scan lies near the map's surfaces, best first;
-    and whether the best is at the edge of the box, in place and in heading. Steps are so many times coarser."""
+    """Up to five poses in a box, so many m and rad to either side, about which the scan lies near the map's surfaces,
+    best first, none much worse than it; and whether the best is at the edge of the box, in place and in heading. Steps
+    are so many times coarser."""
     (table, origin), cell = there.table(coarser), coarser * TABLE_CELL_M
-    every = max(1, len(surface) // 90)  # so many returns are enough
+    every = max(1, len(surface.points) // 90)  # so many returns are enough
     points, looks = np.ascontiguousarray(surface.points[::every]), np.ascontiguousarray(surface.looks[::every])
     step = cell / max(far, 1.0)
     steps, turns = int(np.ceil(reach[0] / cell)), int(np.ceil(reach[1] / step))
     angles = step * np.arange(-turns, turns + 1)
     scores = score_box(points, looks, centre, table, origin, cell, angles, steps)
     t, r, k = np.unravel_index(int(scores.argmax()), scores.shape)
-    peaks = (scores == maximum_filter(scores, size=5)) & (scores > _RIVAL * scores.max())
+    peaks = (scores == maximum_filter(scores, size=5)) & (scores > 0.75 * scores.max())
     places = np.argwhere(peaks)
-    places = places[np.argsort(-scores[tuple(places.T)], kind="stable")][:_MODES]
+    places = places[np.argsort(-scores[tuple(places.T)], kind="stable")][:5]
     shifts = [((k - steps) * cell, (r - steps) * cell, angles[t]) for t, r, k in places.tolist()]
     meets = bool(scores.max() > 0.0)
     at_edge = meets and bool({int(r), int(k)} & {0, 2 * steps}), meets and t in (0, 2 * turns)
     return [centre + np.array(shift) for shift in shifts], *at_edge
 
 
-def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways: Sequence[Expected]) -> Match:
+def _most_probable(found: list[Match], surface: Surface, there: LocalMap, ways: Sequence[Expected]) -> Match:
     """The most probable of several alignments, with what the others leave open."""
     poses = np.array([one.pose for one in found])
     # of one place found in two ways the way counts too: where the wheels agree with the returns, they did not slip
     costs = np.array([_unlikelihood(one.pose, ways[one.way]) + one.misfit for one in found])
     # the cells of the rasters are too coarse to tell what is nearer than a cell: the misfit does
     if any((np.abs(difference(pose, poses[0])) > _SAME).any() for pose in poses):
-        mine, map_ = surface.raster, there.raster
+        mine, map_ = LocalMap(((surface, np.zeros(3)),)).raster, there.raster
         costs -= score_motions(
             poses, RASTER_CELL_M, mine.points, mine.weight, map_.table, map_.origin,
             map_.points, map_.weight, mine.table, mine.origin,
@@ -197,8 +179,7 @@ def _most_probable(found: list[_Found], surface: Surface, there: LocalMap, ways:
     total = 1.0 + float(weights.sum())
     apart = np.array([difference(poses[k], poses[best]) for k in rivals]).reshape(-1, 3)
     spread = np.einsum("n,ni,nj->ij", weights / total, apart, apart)
-    pose, information, fit, _, way = found[best]
-    return Match(pose, information, fit, 1.0 / total, spread, way)
+    return replace(found[best], odds=1.0 / total, spread=spread)
 
 
 def _unlikelihood(pose: FloatArray, way: Expected) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from slam.config import CoastingConfig
 from slam.frontend.deskewing import unswept
 from slam.frontend.information import inverted
-from slam.frontend.laser_odometry.local_map import SlidingMap, Surface
+from slam.frontend.laser_odometry.local_map import LocalMap, Surface
 from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.track import (
     LaserTrack,
@@ -21,7 +21,6 @@ from slam.frontend.laser_odometry.track import (
     rotation,
 )
 from slam.frontend.laser_odometry.velocity import VelocityFilter, stamp_sigma
-from slam.frontend.measurement import usable_ranges
 from slam.frontend.occupancy.raster import LEVEL_COSINE
 from slam.frontend.odometry import Motion, OdometryTrack, difference, planar_delta
 from slam.frontend.wheel_calibration import WheelCalibration
@@ -86,7 +85,7 @@ class LaserOdometry:
     def __init__(self, noise: OdometryNoise, coasting: CoastingConfig, stamp_sigma_s: float = 0.0) -> None:
         self._noise = noise
         self._velocity = VelocityFilter(coasting, stamp_sigma_s)
-        self._map = SlidingMap()
+        self._map = LocalMap(())
         self._scale, self._calibration = NoiseScale(), WheelCalibration()
         self._fit = 0.9  # as usual, over some fifty scans
         self.steps: list[Step] = []
@@ -97,7 +96,7 @@ class LaserOdometry:
         """Take in a scan, and the motion (x, y, theta) from the one before by the wheels; None: nobody measured it."""
         if not self.steps:
             step = Step(stamp_ns, np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)))
-            self._map.add(surface, step.pose)
+            self._map = self._map.extended(surface, step.pose)
             self.steps.append(step)
             return step
         before = self.steps[-1].pose
@@ -163,23 +162,21 @@ class LaserOdometry:
         return 1e-9 * (step.stamp_ns - before.stamp_ns), moved, matched_covariance(before, step, moved)
 
     def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
-        there = self._map.map
-        if there is None or len(surface) < 3:
+        if self._map.is_empty or len(surface.points) < 3:
             return None
-        match = match_scan(surface, there, expected, self._fit)
+        match = match_scan(surface, self._map, expected, self._fit)
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / 50.0
         return match
 
     def _extend_map(self, surface: Surface, pose: FloatArray, match: Match | None) -> None:
         """Add the scan to the map when the body has come far enough, and learn from the way since the last one."""
-        last = self._map.last_pose
-        moved = np.array((np.inf, np.inf, np.inf)) if last is None else between(last, pose)
+        moved = between(self._map.scans[-1][1], pose)
         if np.hypot(*moved[:2]) < 0.25 and abs(moved[2]) < 0.3:  # m and rad
             return
         if match is not None and match.fit >= _LEAST_FIT and match.odds < _LEAST_ODDS:
             return
-        if len(surface):
-            self._map.add(surface, pose)
+        if len(surface.points):
+            self._map = self._map.extended(surface, pose)
         self._learn()
 
     def _learn(self) -> None:
@@ -220,7 +217,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
         sensor = sensors[scan.sensor]
         at_once = scan if track is None else unswept(scan, sensor, track)
-        surface = Surface.of(at_once, usable_ranges(at_once.ranges, sensor), sensor, sensor.body_T_sensor)
+        surface = Surface.of(at_once, sensor)
         odometry.add(scan.stamp_ns, surface, delta)
         last = index
     return LaserTrack(odometry.steps, rig.odometry, between_scans(odometry.steps, track))
