@@ -15,12 +15,13 @@ from slam.config import SlamConfig
 from slam.frontend.deskewing import middle_ns, place_beams
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.frontend.scan_regions import (
+    Regions,
     believed_planes,
     members_of,
     on_planes,
     relabelled,
-    unambiguous_labels,
-    well_conditioned_labels,
+    unambiguous,
+    well_conditioned,
 )
 from slam.frontend.scan_surfaces import surfaces_of
 from slam.geometry.frames import inverse
@@ -178,11 +179,9 @@ def _flat_planes(
     found = segment(points, covariances, config=settings, viewpoints=viewpoint, pose_covariances=tilts)
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
-    sure = unambiguous_labels(points, covariances, found.labels, rough, settings, config.measurements)
-    sure, covariances = on_planes(points, covariances, sure, rough, sensor)
-    sure = well_conditioned_labels(points, covariances, sure, rough, settings)
-    believed = believed_planes(points, covariances, sure, rough, sensor, viewpoint, settings, config.measurements)
-    labels, region = relabelled(points, found.labels, believed)
+    regions = Regions(points, covariances, found.labels, rough, sensor, viewpoint, settings, config.measurements)
+    believed = believed_planes(well_conditioned(on_planes(unambiguous(regions))))
+    labels, region = relabelled(regions, believed)
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
     flat = [one.plane for planes in believed for one in planes]
     frames = np.array([plane.frame for plane in flat]).reshape(-1, 4, 4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,41 +24,57 @@ from spplanes.segmentation.validation.plane_ends import Window, sure_points
 from spplanes.segmentation.validation.splitting import LIMIT, along_plane, are_spread, tells_tilt
 
 
+class Regions(NamedTuple):
+    """Regions that a segmentation found in a grid of a 3D scan's points, and what is asked of them."""
+
+    points: FloatArray
+    """In the sensor's frame, shape (S, B, 3), m."""
+    covariances: FloatArray
+    """Of their beams, shape (S, B, 3, 3), m^2."""
+    labels: np.ndarray
+    """Region of every point, shape (S, B); -1: none."""
+    frames: FloatArray
+    """About their planes, shape (R, 4, 4)."""
+    sensor: Sensor
+    """How it errs."""
+    viewpoint: FloatArray
+    """Where it was, shape (3,), m."""
+    mapper: MapperConfig
+    """How uneven surfaces are."""
+    rules: ValidationConfig
+    """What is believed to be a plane."""
+
+    @property
+    def window(self) -> Window:
+        """The points, with poses that do not err."""
+        return Window(self.points, self.covariances, np.empty((0, 0)))
+
+
 class ScanPart:
-    """Points of a region of a 3D scan, with all that the sensor errs in."""
+    """Points of a region, with all that the sensor errs in."""
 
-    def __init__(
-        self,
-        points: FloatArray,
-        covariances: FloatArray,
-        members: np.ndarray,
-        n_columns: int,
-        frame: FloatArray,
-        sensor: Sensor,
-    ) -> None:
-        """Points (N, 3) with the covariances of their beams (N, 3, 3) about a plane of frame (4, 4).
+    def __init__(self, of: Regions, members: np.ndarray, frame: FloatArray) -> None:
+        """Those with indices `members`, (N,), into the flat grid, about a plane of frame (4, 4)."""
+        self.of, self.members, self._frame = of, members, frame
+        self.points, noise = (
+            of.points.reshape(-1, 3).take(members, 0),
+            of.covariances.reshape(-1, 3, 3).take(members, 0),
+        )
+        self.noise = surface_covariances(self.points, noise, frame, of.sensor)
+        self.blurred = servo_covariances(self.points, self.noise, members // of.labels.shape[1], of.sensor)
 
-        They are those with indices `members`, (N,), of a grid that has so many columns, flat.
-        """
-        self._source = covariances, n_columns, frame
-        self.points, self.members, self.sensor = points, members, sensor
-        self.noise = surface_covariances(points, covariances, frame, sensor)
-        self.blurred = servo_covariances(points, self.noise, members // n_columns, sensor)
-
-    def fitted(self, viewpoint: FloatArray) -> Plane | None:
+    def fitted(self) -> Plane | None:
         """The plane of the points, all errors counted; None where they do not determine one.
 
         Nothing is checked again: they come from a segmentation, which has looked at points and covariances.
         """
-        job, n = FitJob(self.points, self.blurred, viewpoint), len(self.points)
+        job, n = FitJob(self.points, self.blurred, self.of.viewpoint), len(self.points)
         fits = fit_groups(job, np.arange(n), np.array([0, n]))
         return fits.planes()[0] if fits.status[0] == OK else None
 
     def only(self, chosen: np.ndarray) -> ScanPart:
         """The points of a mask (N,)."""
-        covariances, n_columns, frame = self._source
-        kept = np.flatnonzero(chosen)
-        return ScanPart(self.points[kept], covariances[kept], self.members[kept], n_columns, frame, self.sensor)
+        return ScanPart(self.of, self.members[chosen], self._frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,47 +95,32 @@ def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
     return np.split(order, np.searchsorted(flat[order], np.arange(count + 1)))[1:-1]
 
 
-def unambiguous_labels(
-    points: FloatArray,
-    covariances: FloatArray,
-    labels: np.ndarray,
-    frames: FloatArray,
-    mapper: MapperConfig,
-    rules: ValidationConfig,
-) -> np.ndarray:
-    """Labels (S, B) of the points that are of no other surface.
+def unambiguous(regions: Regions) -> Regions:
+    """Regions without points that may be of another surface.
 
     Planes edge-on to the sensor are artefacts of a scan line, and end no other: beams meet them anywhere. They are seen
     from the middle of their points, not from where those are that weigh most: of a floor they are the farthest.
-
-    Args:
-        points, covariances, labels: shapes (S, B, 3), (S, B, 3, 3) and (S, B), -1 = none, in the sensor's frame.
-        frames: of about the planes, shape (R, 4, 4).
-        mapper: how uneven surfaces are.
-        rules: how edge-on a plane may be seen.
     """
+    points, _, labels, frames = regions[:4]
     seen = [False]  # what is of no plane
     for frame, members in zip(frames, members_of(labels, len(frames)), strict=True):
         middle = points.reshape(-1, 3)[members].mean(axis=0)
         aside = abs(float(frame[:3, 3] @ frame[:3, 2]))
-        seen.append(aside >= float(np.linalg.norm(middle)) * np.cos(rules.max_incidence_rad))
+        seen.append(aside >= float(np.linalg.norm(middle)) * np.cos(regions.rules.max_incidence_rad))
     labels = np.where(np.array(seen)[labels + 1], labels, -1)
-    window = Window(points, covariances, np.empty((0, 0)))
-    return np.where(sure_points(window, labels, list(frames), mapper.flatness_m), labels, -1)
+    sure = sure_points(regions.window, labels, list(frames), regions.mapper.flatness_m)
+    return regions._replace(labels=np.where(sure, labels, -1))
 
 
-def on_planes(
-    points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, sensor: Sensor
-) -> tuple[np.ndarray, FloatArray]:
-    """Labels and covariances of points by where their beams meet their plane, not by what they read; given as above.
+def on_planes(regions: Regions) -> Regions:
+    """Regions by where their points' beams meet the plane, not by what they read: without those that the sensor's
+    limits may cut off, and with the noise of that place.
 
-    Of a surface near a limit of the sensor those returns are left that err to this side of it: near the 5 m of a depth
-    camera planes came out 0.9 to 1.7 sigmas too near in four drives. And where noise grows with the range, those that
-    read too little would count for more than those that read too much.
-
-    Returns:
-        The labels but for beams that the limits may cut off, and the covariances, those of points on a plane anew.
+    Of a surface near a limit those returns are left that err to this side of it: near the 5 m of a depth camera planes
+    came out 0.9 to 1.7 sigmas too near in four drives. And where noise grows with the range, those that read too little
+    would count for more than those that read too much.
     """
+    points, covariances, labels, frames, sensor = regions[:5]
     labels, (members,) = labels.copy(), np.nonzero(labels.ravel() >= 0)
     own, flat = labels.ravel(), points.reshape(-1, 3)[members]
     normals, origins = frames[own[members], :3, 2], frames[own[members], :3, 3]
@@ -130,71 +132,55 @@ def on_planes(
     inside = (met > 0.0) & (met - margin > sensor.range_min_m) & (met + margin < sensor.range_max_m)
     own[members[~inside]] = -1
     model = model_of(sensor)
-    if model.range_sigma_per_m2 == 0.0 or not inside.any():
-        return labels, covariances
-    covariances = covariances.copy()
-    covariances.reshape(-1, 3, 3)[members[inside]] = model.covariances(there[inside])
-    return labels, covariances
+    if model.range_sigma_per_m2 > 0.0 and inside.any():
+        covariances = covariances.copy()
+        covariances.reshape(-1, 3, 3)[members[inside]] = model.covariances(there[inside])
+    return regions._replace(labels=labels, covariances=covariances)
 
 
-def well_conditioned_labels(
-    points: FloatArray, covariances: FloatArray, labels: np.ndarray, frames: FloatArray, mapper: MapperConfig
-) -> np.ndarray:
-    """Labels (S, B) of the points of planes whose tilt their points tell; arguments as above."""
-    window, labels = Window(points, covariances, np.empty((0, 0))), labels.copy()
-    for frame, members in zip(frames, members_of(labels, len(frames)), strict=True):
-        if not tells_tilt(window, members, frame, mapper.max_tilt_rad):
+def well_conditioned(regions: Regions) -> Regions:
+    """Those whose points tell the tilt of their plane."""
+    labels = regions.labels.copy()
+    for frame, members in zip(regions.frames, members_of(labels, len(regions.frames)), strict=True):
+        if not tells_tilt(regions.window, members, frame, regions.mapper.max_tilt_rad):
             labels.ravel()[members] = -1
-    return labels
+    return regions._replace(labels=labels)
 
 
-def believed_planes(
-    points: FloatArray,
-    covariances: FloatArray,
-    labels: np.ndarray,
-    frames: FloatArray,
-    sensor: Sensor,
-    viewpoint: FloatArray,
-    mapper: MapperConfig,
-    rules: ValidationConfig,
-) -> list[list[Believed]]:
-    """The planes of every region of a grid, fitted with all errors counted, those that residuals show as well.
-
-    Arguments as above, with the viewpoint (3,) they were seen from.
+def believed_planes(regions: Regions) -> list[list[Believed]]:
+    """The planes of every region, fitted with all errors counted, those that residuals show as well.
 
     Returns:
         Of every region none, where it is no plane, or one, or those on either side of its bends, largest first.
     """
-    regions, order, bounds = group_by_label(labels.ravel(), labels.size)
+    numbers, order, bounds = group_by_label(regions.labels.ravel(), regions.labels.size)
     largest_first = np.argsort(-np.diff(bounds), kind="stable").tolist()
-    found: list[list[Believed]] = [[] for _ in frames]
+    found: list[list[Believed]] = [[] for _ in regions.frames]
 
     def measure(first: int, last: int) -> None:
         for k in largest_first[first:last]:
-            members = order[bounds[k] : bounds[k + 1]]
-            own, noise = points.reshape(-1, 3).take(members, 0), covariances.reshape(-1, 3, 3).take(members, 0)
-            part = ScanPart(own, noise, members, labels.shape[1], frames[regions[k]], sensor)
-            one = believed_plane(part, viewpoint, rules)
-            found[regions[k]] = [] if one is None else _parted(one, viewpoint, mapper, rules)
+            one = believed_plane(ScanPart(regions, order[bounds[k] : bounds[k + 1]], regions.frames[numbers[k]]))
+            found[numbers[k]] = [] if one is None else _parted(one)
 
-    in_parts(measure, len(regions), len(order), singly=True)
-    shown = iter(with_shared_error([plane for planes in found for plane in planes]))
+    in_parts(measure, len(numbers), len(order), singly=True)
+    shown = iter(_with_shared_error([plane for planes in found for plane in planes]))
     return [[next(shown) for _ in planes] for planes in found]
 
 
-def _parted(one: Believed, viewpoint: FloatArray, mapper: MapperConfig, rules: ValidationConfig) -> list[Believed]:
+def _parted(one: Believed) -> list[Believed]:
     """The planes on either side of a bend of what was taken for one, largest first; that one where it has none."""
+    sensor, _, mapper, rules = one.part.of[4:]
     places, residuals, weights = along_plane(one.part.points, one.part.blurred, one.plane.frame)
     bend = surest_bend(places, residuals, weights)
-    if bend is None or not bend.is_sure(one.part.sensor.surface_sigma_m, rules.step_m, LIMIT):
+    if bend is None or not bend.is_sure(sensor.surface_sigma_m, rules.step_m, LIMIT):
         return [one]
     enough = [
         one.part.only(side)
         for side in bend.sides(places)
         if np.count_nonzero(side) >= mapper.min_points and are_spread(places[side], weights[side], mapper.max_tilt_rad)
     ]
-    believed = [found for side in enough if (found := believed_plane(side, viewpoint, rules)) is not None]
-    planes = [part for found in believed for part in _parted(found, viewpoint, mapper, rules)]
+    believed = [found for side in enough if (found := believed_plane(side)) is not None]
+    planes = [part for found in believed for part in _parted(found)]
     planes.sort(key=lambda found: (-found.plane.n_points, int(found.part.members[0])))
     if planes:
         kept = np.concatenate([found.part.members for found in planes])
@@ -203,13 +189,12 @@ def _parted(one: Believed, viewpoint: FloatArray, mapper: MapperConfig, rules: V
     return planes
 
 
-def relabelled(
-    points: FloatArray, labels: np.ndarray, believed: Sequence[Sequence[Believed]]
-) -> tuple[np.ndarray, np.ndarray]:
+def relabelled(regions: Regions, believed: Sequence[Sequence[Believed]]) -> tuple[np.ndarray, np.ndarray]:
     """Number of the plane of every point, -2 in regions that are none, -1 elsewhere, and each plane's region, (P,).
 
-    What nobody was sure of goes with its region, by labels (S, B) as above; of several planes with the nearest.
+    What nobody was sure of goes with its region; of several planes with the nearest.
     """
+    points, _, labels = regions[:3]
     counts = np.array([len(planes) for planes in believed], dtype=np.int64)
     first = np.cumsum(counts) - counts
     fresh = np.append(np.where(counts > 0, first, -2), -1)[labels]
@@ -225,7 +210,7 @@ def relabelled(
     return fresh, np.repeat(np.arange(len(believed)), counts)
 
 
-def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
+def _with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
     """The planes of a scan with the errors that their residuals have in common beyond what the sensor states."""
     if not planes:
         return []
@@ -244,18 +229,18 @@ def with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
     ]
 
 
-def believed_plane(part: ScanPart, viewpoint: FloatArray, rules: ValidationConfig) -> Believed | None:
+def believed_plane(part: ScanPart) -> Believed | None:
     """The plane of a region, if it is one; None: it is none.
 
     A plane is fitted anew without the patches that stray, which moves it and its patches: so a few times over, while
     nine tenths of its points are left.
     """
-    rest = part
+    rest, (sensor, viewpoint, _, rules) = part, part.of[4:]
     for _ in range(4):
-        plane = rest.fitted(viewpoint)
+        plane = rest.fitted()
         if plane is None:
             return None
-        drift_m = tilt_drift(plane, rest.points, part.sensor) if part.sensor.tilt_sigma_rad > 0.0 else None
+        drift_m = tilt_drift(plane, rest.points, sensor) if sensor.tilt_sigma_rad > 0.0 else None
         patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=drift_m)
         if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
             strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)

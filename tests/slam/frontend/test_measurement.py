@@ -9,7 +9,7 @@ import pytest
 from benchmarks.corpus.drives.sensing import camera_beams
 from slam.config import SlamConfig
 from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
-from slam.frontend.scan_regions import ScanPart, believed_plane, believed_planes
+from slam.frontend.scan_regions import Regions, ScanPart, believed_plane, believed_planes
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan
 from slam.sensors.rig import Sensor
@@ -26,6 +26,7 @@ from tests.statistics import assert_mean_in_band
 
 RULES = ValidationConfig()
 SIGMA = 0.015
+ABOVE, FAR_ABOVE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 9.0])
 TRUTH = Plane.from_hesse([0.0, 0.0, 1.0], 0.0, np.zeros((3, 3)))
 
 
@@ -72,14 +73,14 @@ def test_a_notice_board_of_two_centimetres_is_a_step_and_a_wall_is_none():
 
 
 def test_a_floor_with_a_foot_on_it_is_the_floor_without_the_foot():
-    rng, above, chi2, lost = np.random.default_rng(4), np.array([0.0, 0.0, 1.0]), [], 0
+    rng, chi2, lost = np.random.default_rng(4), [], 0
     for _ in range(200):
         points = patch(rng, 9000, x=8.0, y=6.0)
         foot = (np.abs(points[:, :2] - [0.8, 3.0]) < 0.15).all(axis=1)
         points[foot, 2] += 0.08
         part, plane = as_part(points)
-        assert not is_one_plane(plane, points, part.noise, above, RULES)
-        believed = believed_plane(part, above, RULES)
+        assert not is_one_plane(plane, points, part.noise, ABOVE, RULES)
+        believed = believed_plane(part)
         if believed is None:
             lost += 1
             continue
@@ -94,13 +95,21 @@ def test_a_plane_of_which_much_strays_is_none():
     points = patch(np.random.default_rng(5), 3000, x=4.0, y=3.0)
     points[points[:, 1] > 2.7, 2] += 0.06
     part, _ = as_part(points)
-    assert believed_plane(part, np.array([0.0, 0.0, 1.0]), RULES) is None
+    assert believed_plane(part) is None
+
+
+def regions_of(points: np.ndarray, labels: np.ndarray, frames: np.ndarray, **told: Any) -> Regions:
+    """Of a grid of points (S, B, 3) that scatter alike in all directions, seen from far above."""
+    noise, others = isotropic(labels.ravel()).reshape(*labels.shape, 3, 3), {"viewpoint": FAR_ABOVE, "rules": RULES}
+    given = {"covariances": noise, "sensor": sensor(), "mapper": MapperConfig(), **others, **told}
+    return Regions(points, labels=labels, frames=frames, **given)
 
 
 def as_part(points: np.ndarray) -> tuple[ScanPart, Plane]:
     """Points as a region of a grid, with the plane fitted to them."""
-    noise, plane = isotropic(points), fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1])
-    return ScanPart(points, noise, np.arange(len(points)), len(points) // 30, plane.frame, sensor()), plane
+    plane, labels = fit_plane(points, sigma=SIGMA, viewpoint=[0, 0, 1]), np.zeros((30, len(points) // 30), dtype=int)
+    regions = regions_of(points.reshape(*labels.shape, 3), labels, plane.frame[None], viewpoint=ABOVE)
+    return ScanPart(regions, np.arange(len(points)), plane.frame), plane
 
 
 def test_what_a_scan_shares_and_a_slow_drift_of_the_sensor_are_no_steps():
@@ -204,16 +213,16 @@ def test_outlines_are_as_fine_as_rows_of_points_lie_apart(apart_m: float, cell_m
 
 
 def test_the_planes_of_a_grid_are_those_of_their_points_alone_and_a_line_is_none():
-    rng, eye = np.random.default_rng(13), np.array([0.0, 0.0, 9.0])
+    rng = np.random.default_rng(13)
     points = np.concatenate((patch(rng), patch(rng) + np.array([0.0, 0.0, 1.0]))).reshape(20, -1, 3)
     labels = np.repeat([2, 0], 10)[:, None] * np.ones(points.shape[1], dtype=np.int64)
     labels[3, :7], labels[4, :9] = -1, 1
     points[4, :9] = np.linspace(0.0, 1.0, 9)[:, None] * np.array([1.0, 0.0, 0.0])
-    noise = isotropic(points.reshape(-1, 3)).reshape(*points.shape, 3)
-    found = believed_planes(points, noise, labels, np.tile(np.eye(4), (3, 1, 1)), sensor(), eye, MapperConfig(), RULES)
+    regions = regions_of(points, labels, np.tile(np.eye(4), (3, 1, 1)))
+    noise, found = regions.covariances, believed_planes(regions)
     assert found[1] == []
     for k in (0, 2):
-        alone, (measured,) = fit_plane(points[labels == k], noise[labels == k], viewpoint=eye), found[k]
+        alone, (measured,) = fit_plane(points[labels == k], noise[labels == k], viewpoint=FAR_ABOVE), found[k]
         assert len(measured.strayed) == 0
         np.testing.assert_array_equal(measured.plane.frame, alone.frame)
         np.testing.assert_array_equal(measured.plane.covariance, alone.covariance)
@@ -221,14 +230,14 @@ def test_the_planes_of_a_grid_are_those_of_their_points_alone_and_a_line_is_none
 
 def test_what_residuals_show_beyond_the_rig_is_in_the_covariance():
     """Walls that wander by 2 mm an octave, of which the rig says nothing: the mean chi2 of a tilt is 90 without it."""
-    rng, eye, tilts = np.random.default_rng(14), np.array([0.0, 0.0, 9.0]), []
+    rng, tilts = np.random.default_rng(14), []
     patient = ValidationConfig(step_m=1.0, misfit_sigmas=1e3)
     for _ in range(20):
         points = np.concatenate([wall(0.002, rng) - (0.0, 0.0, k) for k in range(4)]).reshape(40, -1, 3)
         labels = np.repeat(np.arange(4), 10)[:, None] * np.ones(points.shape[1], dtype=np.int64)
         noise = np.tile(0.005**2 * np.eye(3), (*labels.shape, 1, 1))
         rough = np.array([Plane.from_hesse([0.0, 0.0, 1.0], -float(k), np.zeros((3, 3))).frame for k in range(4)])
-        for (one,) in believed_planes(points, noise, labels, rough, sensor(), eye, MapperConfig(), patient):
+        for (one,) in believed_planes(regions_of(points, labels, rough, covariances=noise, rules=patient)):
             slope = one.plane.frame[:3, :3].T @ (0.0, 0.0, 1.0)
             tilts.append(slope[:2] ** 2 / np.diagonal(one.plane.covariance)[1:])
     assert 0.5 < np.mean(tilts) < 1.5  # 160 tilts: a standard deviation of 0.11, and planes of a scan share an estimate
@@ -254,7 +263,7 @@ def test_a_wall_that_reaches_beyond_the_sensors_range_is_where_it_is():
 @pytest.mark.parametrize("corner_deg, heading_deg", [(2.5, 130.0), (3.0, 205.0)])
 def test_what_runs_round_a_blunt_corner_is_the_walls_on_either_side(corner_deg: float, heading_deg: float):
     """A strip of a wall and twice as much of the next, 5 mm off the plane through both, in noise of 15 mm."""
-    rng, eye, grid = np.random.default_rng(15), np.array([0.0, 0.0, 9.0]), (30, 30)
+    rng, grid = np.random.default_rng(15), (30, 30)
     turn, slope = gtsam.Rot3.Yaw(np.radians(heading_deg)).matrix(), np.tan(np.radians(corner_deg))
     leaning = np.array((-slope, 0.0, 1.0)) / np.hypot(slope, 1.0)
     walls = [Plane.from_hesse(turn @ one, 0.0, np.zeros((3, 3))) for one in (leaning, (0.0, 0.0, 1.0))]
@@ -263,13 +272,12 @@ def test_what_runs_round_a_blunt_corner_is_the_walls_on_either_side(corner_deg: 
         places = rng.uniform((-0.35, -1.2), (0.7, 1.2), (900, 2))
         height = slope * np.maximum(places[:, 0], 0.0) + SIGMA * rng.standard_normal(900)
         points = np.column_stack((places, height)) @ turn.T
-        noise, labels = isotropic(points).reshape(*grid, 3, 3), np.zeros(grid, dtype=np.int64)
-        rules = [np.eye(4)[None], sensor(), eye, MapperConfig(), RULES]
-        (sides,) = believed_planes(points.reshape(*grid, 3), noise, labels, *rules)
+        labels = np.zeros(grid, dtype=np.int64)
+        (sides,) = believed_planes(regions_of(points.reshape(*grid, 3), labels, np.eye(4)[None]))
         if len(sides) < 2:  # most others are steeper to the eye, and no plane
             continue
         assert sum(len(one.part.points) for one in sides) + len(sides[0].strayed) == 900
-        fit = fit_plane(points, sigma=SIGMA, viewpoint=eye, shared_error=False)
+        fit = fit_plane(points, sigma=SIGMA, viewpoint=FAR_ABOVE, shared_error=False)
         whole.append(min(fit.mahalanobis(one) for one in walls))
         nees += [min(one.plane.mahalanobis(other) for other in walls) for one in sides]
     assert len(whole) >= 20 and np.mean(whole) > 30.0
