@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from factors.association.observations import LineObservation, Observation, PlaneObservation
+from factors.association.observations import Observation
 from slam.ahead import ordered_parallel_map
 from slam.config import SlamConfig
 from slam.errors import LogError
@@ -35,8 +35,6 @@ from slam.sensors.log import CloudScan, LaserScan, Log
 from slam.sensors.rig import Rig, Sensor
 from spplanes._check import FloatArray
 from spplanes.segmentation.scans import label_scans
-
-Seen = TypeVar("Seen", LineObservation, PlaneObservation, ScanMeasurement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,48 +81,44 @@ def keyframes_of(
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
     """
-    clouds = _Clouds(log, rig, config, segment)
-    measure = clouds if len(clouds) else _Lasers(log, rig, config, segment)
-    yield from ordered_parallel_map(measure, range(start, len(measure)), jobs, shared=log.events)
+    clouds = _clouds_of(log, rig, config.keyframes.strict)
+    if clouds:
+        # without odometry the estimator finds the motion by the planes
+        track = _track_of(log, rig) if log.measured_motion else None
+        measure, count = partial(_of_cloud, clouds, track, rig, config, segment), len(clouds)
+    else:
+        measure = _Lasers(log, rig, config, segment)
+        count = len(measure.stamps)
+    yield from ordered_parallel_map(measure, range(start, count), jobs, shared=log.events)
 
 
 def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
     """How many keyframes `keyframes_of` will give, without making them."""
-    clouds, _ = _clouds_of(log, rig, config.keyframes.strict)
-    return len(clouds) if clouds else len(_choose_stamps(log, rig, config))
+    return len(_clouds_of(log, rig, config.keyframes.strict) or _choose_stamps(log, rig, config))
 
 
-class _Clouds:
-    """Measures keyframes that are 3D scans."""
-
-    def __init__(self, log: Log, rig: Rig, config: SlamConfig, segment: Segment) -> None:
-        self._scans, self._late = _clouds_of(log, rig, config.keyframes.strict)
-        self._rig, self._config, self._segment = rig, config, segment
-        # without odometry the estimator finds the motion by the planes
-        self._track = _track_of(log, rig) if self._scans and log.measured_motion else None
-
-    def __len__(self) -> int:
-        return len(self._scans)
-
-    def __call__(self, index: int) -> Keyframe:
-        """The keyframe of an index."""
-        scan, notes = self._scans[index], list(self._late.get(index, ()))
-        sensor = self._rig.sensors[scan.sensor]
-        [seen] = _measured(
-            lambda: [measured_cloud(scan, sensor, self._config, self._segment)], scan.stamp_ns, self._config, notes
-        ) or [ScanMeasurement()]
-        motion = None
-        if index and self._track is not None:
-            motion = self._track.motion(self._scans[index - 1].stamp_ns, scan.stamp_ns)
-        return Keyframe(
-            scan.stamp_ns,
-            seen.observations,
-            motion,
-            notes=tuple(notes),
-            scans=(scan,),
-            surfaces=seen.surfaces,
-            viewpoint=None if seen.surfaces is None else sensor.body_T_sensor[:3, 3].copy(),
-        )
+def _of_cloud(
+    clouds: Sequence[tuple[CloudScan, list[str]]],
+    track: OdometryTrack | None,
+    rig: Rig,
+    config: SlamConfig,
+    segment: Segment,
+    index: int,
+) -> Keyframe:
+    """The keyframe that is the 3D scan of an index."""
+    (scan, late), seen = clouds[index], ScanMeasurement()
+    sensor, notes = rig.sensors[scan.sensor], [*late]
+    with _noted(scan.stamp_ns, config, notes):
+        seen = measured_cloud(scan, sensor, config, segment)
+    return Keyframe(
+        scan.stamp_ns,
+        seen.observations,
+        track.motion(clouds[index - 1][0].stamp_ns, scan.stamp_ns) if index and track is not None else None,
+        notes=tuple(notes),
+        scans=(scan,),
+        surfaces=seen.surfaces,
+        viewpoint=None if seen.surfaces is None else sensor.body_T_sensor[:3, 3].copy(),
+    )
 
 
 class _Lasers:
@@ -135,37 +129,34 @@ class _Lasers:
         self._track = track_of(log, rig, config)
         self._wheels = _track_of(log, rig) if log.measured_motion else None
         self._within = self._wheels or self._track  # over the time of a scan wheels err by less than two matched scans
-        self._stamps = _choose_stamps(log, rig, config)
+        self.stamps = _choose_stamps(log, rig, config)
         slices, lines = _scans_of(log, rig, "slice"), _scans_of(log, rig, "line")
         self._stalls = [] if isinstance(self._track, LaserTrack) else _stalls_of(log, slices, rig, self._track)
         slices = [scan for scan in slices if not any(stall.has(scan) for stall in self._stalls)]
-        self._homes = {"slice": _at_home(self._stamps, slices), "line": _at_home(self._stamps, lines)}
-
-    def __len__(self) -> int:
-        return len(self._stamps)
+        self._homes = _at_home(self.stamps, [*slices, *lines])
 
     def __call__(self, index: int) -> Keyframe:
         """The keyframe of an index."""
-        stamp, config = self._stamps[index], self._config
+        stamp, config = self.stamps[index], self._config
         observations: list[Observation] = []
         scans: list[LaserScan] = []
         beams: list[FloatArray] = []
         notes: list[str] = []
         for sensor, window in self._scans_at(index, "slice"):
             scans += window
-            measure = partial(
-                planes_of_window, window, stamp, sensor, self._track, config, self._segment, sweeps=self._within
-            )
-            observations += _measured(measure, stamp, config, notes)
+            with _noted(stamp, config, notes):
+                observations += planes_of_window(
+                    window, stamp, sensor, self._track, config, self._segment, sweeps=self._within
+                )
         for sensor, near in self._scans_at(index, "line"):
             scan = min(near, key=lambda one: abs(one.stamp_ns - stamp))
             scans.append(scan)
             kf_T_body = inverse(self._track.poses_at([stamp])[0]) @ self._track.poses_at([scan.stamp_ns])[0]
-            look = partial(lines_of_scan, unswept(scan, sensor, self._within), sensor, kf_T_body, config.lines)
-            observations += [
-                line.on_uneven_wall(sensor.surface_sigma_m, sensor.surface_correlation_m)
-                for line in _measured(look, stamp, config, notes)
-            ]
+            at_once, lines = unswept(scan, sensor, self._within), []
+            with _noted(stamp, config, notes):
+                lines = lines_of_scan(at_once, sensor, kf_T_body, config.lines)
+            uneven = sensor.surface_sigma_m, sensor.surface_correlation_m
+            observations += [line.on_uneven_wall(*uneven) for line in lines]
             beams += beams_of(scan, usable_ranges(scan.ranges, sensor), kf_T_body @ sensor.body_T_sensor)
         return Keyframe(
             stamp,
@@ -179,13 +170,13 @@ class _Lasers:
     def _scans_at(self, index: int, kind: str) -> Iterator[tuple[Sensor, list[LaserScan]]]:
         """The sensors of a kind that a keyframe has scans of, with these."""
         for name, sensor in self._rig.of_kind(kind).items():
-            if (index, name) in self._homes[kind]:
-                yield sensor, self._homes[kind][index, name]
+            if (index, name) in self._homes:
+                yield sensor, self._homes[index, name]
 
     def _motion(self, index: int) -> Motion | None:
         if not index:
             return None
-        ends = self._stamps[index - 1], self._stamps[index]
+        ends = self.stamps[index - 1], self.stamps[index]
         if not isinstance(self._track, LaserTrack):
             motion = self._track.motion(*ends)
             stalled = [stall for stall in self._stalls if stall.overlaps(*ends)]
@@ -194,34 +185,33 @@ class _Lasers:
         return motion_between(self._track, self._wheels, ends, self._config.association.new_significance)
 
 
-def _measured(measure: Callable[[], list[Seen]], stamp_ns: int, config: SlamConfig, notes: list[str]) -> list[Seen]:
-    """What a scan gives; of one that cannot be used nothing and a note, unless the run is strict."""
+@contextmanager
+def _noted(stamp_ns: int, config: SlamConfig, notes: list[str]) -> Generator[None, None, None]:
+    """Where a scan is measured: of one that cannot be used there is nothing but a note, unless the run is strict."""
     try:
-        return measure()
-    except (ValueError, np.linalg.LinAlgError) as error:
+        yield
+    except ValueError as error:
         if config.keyframes.strict:
             raise
         notes.append(f"at {stamp_ns * 1e-9:.3f} s: {error}")
-        return []
 
 
-def _clouds_of(log: Log, rig: Rig, strict: bool) -> tuple[list[CloudScan], dict[int, list[str]]]:
-    """3D scans of the rig's sensors, each later than the one before, and a sentence on every one that is not.
-
-    Those are left out; their sentences go with the scan before, by its index. Of two scans of one time the first stays.
+def _clouds_of(log: Log, rig: Rig, strict: bool) -> list[tuple[CloudScan, list[str]]]:
+    """3D scans of the rig's sensors, each later than the one before, and with each a sentence on those after it that
+    are not, and are left out. Of two scans of one time the first stays.
     """
-    names, clouds, late = rig.of_kind("cloud"), [], {}
+    names, clouds = rig.of_kind("cloud"), []
     for scan in log.scans():
         if not isinstance(scan, CloudScan) or scan.sensor not in names:
             continue
-        if clouds and scan.stamp_ns <= clouds[-1].stamp_ns:
-            problem = f"expected a scan after {clouds[-1].stamp_ns} ns, got {scan.stamp_ns} ns"
-            if strict:
-                raise LogError(log.source, problem)
-            late.setdefault(len(clouds) - 1, []).append(f"at {scan.stamp_ns * 1e-9:.3f} s: {problem}")
+        if not clouds or scan.stamp_ns > clouds[-1][0].stamp_ns:
+            clouds.append((scan, []))
             continue
-        clouds.append(scan)
-    return clouds, late
+        problem = f"expected a scan after {clouds[-1][0].stamp_ns} ns, got {scan.stamp_ns} ns"
+        if strict:
+            raise LogError(log.source, problem)
+        clouds[-1][1].append(f"at {scan.stamp_ns * 1e-9:.3f} s: {problem}")
+    return clouds
 
 
 def _choose_stamps(log: Log, rig: Rig, config: SlamConfig) -> list[int]:
@@ -243,8 +233,6 @@ def _scans_of(log: Log, rig: Rig, kind: str) -> list[LaserScan]:
     return [scan for scan in log.scans() if isinstance(scan, LaserScan) and scan.sensor in names]
 
 
-#: So many jumps of the odometry are told one by one.
-_TOLD = 3
 #: Tracks made already, by their log: laser odometry looks at every scan.
 _TRACKS: WeakKeyDictionary[Log, tuple[Rig, SlamConfig, OdometryTrack]] = WeakKeyDictionary()
 
@@ -271,8 +259,8 @@ def _track_of(log: Log, rig: Rig) -> OdometryTrack:
         raise LogError(log.source, f"expected odometry beside the scans, {found}")
     track = OdometryTrack(readings, rig.odometry)
     if track.jumps_ns:
-        times = ", ".join(f"{stamp_ns * 1e-9:.3f}" for stamp_ns in track.jumps_ns[:_TOLD])
-        more = f" and {len(track.jumps_ns) - _TOLD} more" if len(track.jumps_ns) > _TOLD else ""
+        times = ", ".join(f"{stamp_ns * 1e-9:.3f}" for stamp_ns in track.jumps_ns[:3])
+        more = f" and {len(track.jumps_ns) - 3} more" if len(track.jumps_ns) > 3 else ""
         note = f"odometry jumps at {times}{more} s: it was taken to go on there as it did before"
         if note not in log.notes:  # a log's odometry is asked for more than once
             log.notes.append(note)
