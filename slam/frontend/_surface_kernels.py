@@ -11,8 +11,8 @@ import numpy as np
 
 from spplanes._jit import inlined, njit
 
-#: Cells that a hash table has for every one used, at least; and the multiplier that spreads keys over it (Knuth).
-_ROOM, _SPREAD = 2, np.uint64(0x9E3779B97F4A7C15)
+#: The multiplier that spreads keys over a hash table (Knuth).
+_SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 
 @njit(cache=True)
@@ -22,7 +22,7 @@ def numbered(keys):
     Keys below nought are left out: their number is -1.
     """
     size, shift = 16, np.uint64(60)  # 64 less the bits of a slot
-    while size < _ROOM * keys.size:
+    while size < 2 * keys.size:
         size *= 2
         shift -= np.uint64(1)
     mask, slots = np.uint64(size - 1), np.full(size, -1, np.int64)

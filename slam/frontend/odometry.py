@@ -21,9 +21,6 @@ from spplanes.registration import interpolate_poses
 
 #: Of (x, y, heading) in SP order.
 PLANAR_IN_SP = (0, 1, 3)
-#: Odometry has jumped where one step is so many times as fast as those beside it, and as all of the drive but the
-#: fastest hundredth: of five real robots' 37,000 steps none is 7 times as fast. No jump is as short, m and rad.
-_JUMPS, _FASTEST, _LEAST_M, _LEAST_RAD = 10.0, 0.01, 0.05, 0.05
 #: Standard deviations of z, roll and pitch, m and rad, of a planar motion that says nothing of the floor.
 NO_FLOOR = (1e2, 1e2, 1e2)
 
@@ -216,7 +213,8 @@ def planar_covariance(spatial: FloatArray, a_T_b: FloatArray) -> FloatArray:
 def _jumps(stamps_ns: np.ndarray, poses: FloatArray) -> np.ndarray:
     """Which of the steps between readings are none that the body made, by their first readings, (J,).
 
-    Those that are alone as fast as nothing else, in distance or in turning: a robot that starts goes on.
+    Those ten times as fast, in distance or in turning, as the ones beside them, for a robot that starts goes on, and as
+    all of the drive but the fastest hundredth: of five real robots' 37,000 steps none is 7 times as fast.
     """
     if len(stamps_ns) <= 20:  # nobody can tell how fast they are as a rule
         return np.zeros(0, dtype=np.int64)
@@ -224,10 +222,10 @@ def _jumps(stamps_ns: np.ndarray, poses: FloatArray) -> np.ndarray:
     turns = Rotation.from_matrix(steps[:, :3, :3]).magnitude()
     sizes = np.stack((np.linalg.norm(steps[:, :3, 3], axis=1), turns))
     speeds = sizes / _paces(stamps_ns)
-    fast = np.sort(speeds, axis=1)[:, -1 - max(1, int(_FASTEST * len(steps)))]
+    fast = np.sort(speeds, axis=1)[:, -1 - max(1, int(0.01 * len(steps)))]
     beside = np.maximum(np.pad(speeds[:, :-1], ((0, 0), (1, 0))), np.pad(speeds[:, 1:], ((0, 0), (0, 1))))
-    alone = speeds > _JUMPS * np.maximum(beside, fast[:, None])
-    return np.flatnonzero((alone & (sizes > np.array([[_LEAST_M], [_LEAST_RAD]]))).any(axis=0))
+    alone = speeds > 10.0 * np.maximum(beside, fast[:, None])
+    return np.flatnonzero((alone & (sizes > 0.05)).any(axis=0))  # no jump is as short, m or rad
 
 
 def _continued(stamps_ns: np.ndarray, poses: FloatArray, jumps: np.ndarray) -> tuple[FloatArray, FloatArray]:

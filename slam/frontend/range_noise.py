@@ -12,11 +12,11 @@ What cameras read falsely by the pixel is looked for after it, with noise that h
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from slam.errors import LogError
 from slam.frontend.measurement import in_rows, usable_points
 from slam.frontend.warp_calibration import with_warp
 from slam.sensors.log import CloudScan, LaserScan, Log
@@ -25,9 +25,6 @@ from slam.sensors.scan_noise import shown_by_lines, with_beam_sigma
 from spplanes._check import FloatArray
 from spplanes.clouds.scatter import misses_of
 
-#: A quarter of normal deviates lie within so many standard deviations. Edges, clutter and curved things add large
-#: misses: a low quantile hardly sees them.
-_QUANTILE, _WITHIN = 0.25, 0.31863936396437514
 #: What a rig states is refuted by so many times as much. In honest drives through 11 kinds of buildings, cluttered ones
 #: among them, scans of five kinds of sensors show 0.86 to 1.05 times what is stated.
 _REFUTED = 1.2
@@ -56,8 +53,12 @@ def _raised(name: str, sensor: Sensor, log: Log) -> Sensor:
     scans = log.scans(name)
     if not scans:
         return sensor
-    shown = _as_lines_show if isinstance(scans[0], LaserScan) else _as_clouds_show
-    result = shown(sensor, scans)
+    if isinstance(scans[0], LaserScan):
+        seen_m = shown_by_lines(sensor, scans)  # it is stated with uneven surfaces
+        refuted = seen_m is not None and seen_m > _REFUTED * sensor.beam_sigma_m
+        result = with_beam_sigma(sensor, seen_m) if refuted else sensor
+    else:
+        result = _as_clouds_show(sensor, scans)
     if result is not sensor:
         stated, seen = 1e3 * sensor.range_sigma_m, 1e3 * result.range_sigma_m
         note = f"{name}: ranges scatter about surfaces by {seen:.3g} mm where {stated:.3g} mm are stated: taken as seen"
@@ -65,14 +66,11 @@ def _raised(name: str, sensor: Sensor, log: Log) -> Sensor:
     return result
 
 
-def _as_lines_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
-    """A 2D laser with as much noise as its lines show, if that is more than what is stated with uneven surfaces."""
-    seen_m = shown_by_lines(sensor, scans)
-    return sensor if seen_m is None or seen_m <= _REFUTED * sensor.beam_sigma_m else with_beam_sigma(sensor, seen_m)
-
-
 def _as_clouds_show(sensor: Sensor, scans: Sequence[LaserScan | CloudScan]) -> Sensor:
-    grids, result = _grids(scans, sensor), sensor
+    grids, result = [], sensor
+    for index in np.unique(np.geomspace(1.0, len(scans), 6).astype(int)) - 1:  # the first rather than the last
+        with suppress(ValueError):  # whoever measures them says what is unreadable
+            grids.append(in_rows(usable_points(scans[index].points, sensor), sensor))
     for _ in range(5):  # the noise of the beams comes to what is seen beside the parts of the rig's noise that stay
         factor = noise_factor(grids, result)
         if factor is None or factor <= (_REFUTED if result is sensor else 1.0):
@@ -89,7 +87,10 @@ def noise_factor(grids: list[FloatArray], sensor: Sensor) -> float | None:
     """
     seen = [np.empty(0), *(_normalised(grid, sensor) for grid in grids)]
     missed = np.abs(np.concatenate(seen))
-    return float(np.quantile(missed, _QUANTILE)) / _WITHIN if len(missed) >= 500 else None  # fewer say nothing
+    if len(missed) < 500:  # they say nothing
+        return None
+    # edges, clutter and curved things add large misses, which the least quarter hardly sees: within so many sigmas
+    return float(np.quantile(missed, 0.25)) / 0.31863936396437514
 
 
 def _normalised(grid: FloatArray, sensor: Sensor) -> FloatArray:
@@ -105,15 +106,3 @@ def _normalised(grid: FloatArray, sensor: Sensor) -> FloatArray:
     square = np.square(tangent[used])
     variance = sensor.range_variance_at(here[used]) + sensor.surface_sigma_m**2 * (1.0 + square)
     return missed[used] / np.sqrt(variance + np.square(here[used] * sensor.bearing_sigma_rad) * square)
-
-
-def _grids(scans: Sequence[LaserScan | CloudScan], sensor: Sensor) -> list[FloatArray]:
-    """Points of six clouds, the first rather than the last, as grids; whoever measures them says what is unreadable."""
-    found = []
-    for index in np.unique(np.geomspace(1.0, len(scans), 6).astype(int)) - 1:
-        try:
-            points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
-            found.append(in_rows(points, sensor))
-        except (LogError, ValueError):
-            continue
-    return found

@@ -26,8 +26,8 @@ from spplanes._check import FloatArray
 
 #: Kinds of elements, as they are stored.
 ON_PLANE, ON_NO_PLANE, ON_EDGE = 0, 1, 2
-#: Columns of stored elements: point, direction, standard deviation along it, kind, width.
-COLUMNS, WIDTH = 9, 8
+#: Column of stored elements with their width; before it are point, direction, standard deviation along it and kind.
+WIDTH = 8
 #: Width of an element as a share of its range, rounded down to a power of two metres: it is seen 1 to 2 deg wide.
 _SHARE = 0.03
 #: On planes, where a few say as much as many, so wide, or as wide as it needs to hold the fewest points.
@@ -39,12 +39,6 @@ ITS_OWN = 1e-6
 THING_M = 0.5
 #: Fewest points of an element on a plane, and of one whose direction its own points tell.
 _LEAST_ON_PLANE, _LEAST = 3, 6
-#: An element's own points tell a direction when its second extent is this share of the first (variances), its
-#: thickness that of the second, and it is seen steeper than this (sine).
-_BROAD, _FLAT, _STEEP = 0.1, 0.1, 0.15
-#: Points within this share of the range of each other tell the direction of an edge; it is straight when their second
-#: extent is at most this share of the first (variances).
-_ALONG_SHARE, _STRAIGHT = 0.05, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +134,8 @@ def _on_no_plane(cells: _Cells, sensor: Sensor) -> FloatArray:
     normals = vectors[:, :, 0]
     along = np.einsum("ki,ki->k", normals, some.mean) / np.maximum(np.linalg.norm(some.mean, axis=1), 1e-9)
     normals = normals * np.where(along > 0.0, -1.0, 1.0)[:, None]  # toward the sensor
-    flat = (values[:, 1] > _BROAD * values[:, 2]) & (values[:, 0] < _FLAT * values[:, 1]) & (np.abs(along) > _STEEP)
+    # points tell a direction that are broad, thin, and not seen edge-on (variances, and a sine)
+    flat = (values[:, 1] > 0.1 * values[:, 2]) & (values[:, 0] < 0.1 * values[:, 1]) & (np.abs(along) > 0.15)
     some = some.only(flat)
     return _rows(some.mean, normals[flat], _sigma(some, sensor), ON_NO_PLANE)
 
@@ -159,11 +154,11 @@ def _on_edges(points: FloatArray, labels: np.ndarray, width: float) -> FloatArra
     if len(found) < _LEAST:
         return np.empty((0, WIDTH))
     seeds = _Cells.of(found, np.zeros(len(found), dtype=np.int64), 0.5 * _SHARE).mean
-    mean, scatter = moments_about(seeds, found, _ALONG_SHARE * np.linalg.norm(seeds, axis=1), _LEAST)
+    mean, scatter = moments_about(seeds, found, 0.05 * np.linalg.norm(seeds, axis=1), _LEAST)
     values, vectors = np.linalg.eigh(scatter)
     across = np.cross(mean, vectors[:, :, 2])
     ranges, length = np.linalg.norm(mean, axis=1), np.linalg.norm(across, axis=1)
-    straight = (values[:, 1] < _STRAIGHT * values[:, 2]) & (length > 0.5 * ranges)
+    straight = (values[:, 1] < 0.05 * values[:, 2]) & (length > 0.5 * ranges)
     mean, across = mean[straight], across[straight] / length[straight, None]
     return _rows(mean, across, width * ranges[straight], ON_EDGE)
 

@@ -23,13 +23,9 @@ HALF_AT_ONE = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 _SHARES = np.geomspace(1.0, 0.03, 25)
 #: How often it may change as any body may, not as it usually does: it starts, stops, turns.
 _RATES = np.geomspace(0.5, 0.005, 9)
-#: Of both, before a step is seen.
-_PRIOR = HALF_AT_ONE[:, None, None] - np.log(len(_RATES))
 #: Degrees of freedom of the changes, a Student's t: hands are not normal. And its density at 0 against the normal's.
 _FREEDOM = 3.0
 _AT_ZERO = lgamma(0.5 * _FREEDOM + 0.5) - lgamma(0.5 * _FREEDOM) - 0.5 * log(0.5 * _FREEDOM)
-#: Squared scale of the t that is nearest to a normal distribution, of the variance of that.
-_NORMAL = 0.63
 
 
 class Usual(NamedTuple):
@@ -76,7 +72,8 @@ class Steadiness:
     def usual(self) -> Usual:
         """As far as is known."""
         if self._known is None:
-            posterior = np.broadcast_to(_PRIOR, (len(_SHARES), len(_RATES), self._axes)) + sum(self._steps)
+            prior = HALF_AT_ONE[:, None, None] - np.log(len(_RATES))
+            posterior = np.broadcast_to(prior, (len(_SHARES), len(_RATES), self._axes)) + sum(self._steps)
             weights = np.exp(posterior - logsumexp(posterior, axis=(0, 1)))
             shares = np.exp(np.einsum("sra,s->a", weights, np.log(_SHARES)))
             self._known = Usual(shares, np.einsum("sra,r->a", weights, _RATES))
@@ -94,5 +91,5 @@ class Steadiness:
 
 def _log_density(off: FloatArray, changes: FloatArray, variances: FloatArray) -> FloatArray:
     """Of deviations by Student's t of these squared scales, widened by normal errors, less the normal's constant."""
-    scales = changes + _NORMAL * variances
+    scales = changes + 0.63 * variances  # the squared scale of the t that is nearest to a normal distribution
     return _AT_ZERO - 0.5 * (_FREEDOM + 1.0) * np.log1p(off**2 / (_FREEDOM * scales)) - 0.5 * np.log(scales)

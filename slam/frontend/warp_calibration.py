@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from slam.errors import LogError
 from slam.frontend.measurement import for_points, for_sensor, usable_points
 from slam.sensors.log import CloudScan, Log
 from slam.sensors.rig import RangeWarp, Sensor, waves
@@ -34,17 +33,8 @@ from spplanes._check import FloatArray
 from spplanes.fitting.shared_error import MEAN_DISTANCE, SIGNIFICANCE, shared_error_of
 from spplanes.segmentation.scans import label_scans
 
-#: Images that are looked at, spread over the log; thinned evenly where they have more rows than so many.
-_IMAGES, _ROWS = 24, 240
 #: An image is cut into so many cells down and across; and waves down and across it, half as many.
 _CELLS, _WAVES = (12, 16), (6, 8)
-#: A cell is of a plane by this share of its pixels, a plane of at least so many cells.
-_SHARE, _LEAST_CELLS = 0.1, 12
-#: Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen so far
-#: while that puts pieces together, so often at most.
-_LOOKS = 6
-#: Standard deviations of an octave that are tried, of one and 1/m; and how often both in turn at most.
-_OCTAVES, _TURNS = np.geomspace(1e-5, 0.1, 33).tolist(), 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +50,15 @@ class _Cells:
 
 
 def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
-    """A camera with the warp that planes of its images show; else the sensor, as one whose rig states a warp."""
+    """A camera with the warp that planes of its images show; else the sensor, as one whose rig states a warp.
+
+    Bent planes fall into pieces, which say less of long waves: they are looked for again without the warp seen so far
+    while that puts pieces together.
+    """
     if sensor.kind != "cloud" or sensor.warp is not None:
         return sensor
     images, warp, pieces = _images(log, name, sensor), None, np.inf
-    for _ in range(_LOOKS):
+    for _ in range(6):  # looks
         planes = [plane for image in images for plane in _planes_in(image, sensor, warp)]
         if len(planes) >= pieces:
             break
@@ -78,16 +72,16 @@ def with_warp(name: str, sensor: Sensor, log: Log) -> Sensor:
 
 
 def _images(log: Log, name: str, sensor: Sensor) -> list[FloatArray]:
-    """Points (H, W, 3) of images of a camera, none of another sensor; whoever measures them says what is unreadable."""
+    """Points (H, W, 3) of 24 images of a camera, none of another sensor, thinned where they have many rows."""
     scans, found = [scan for scan in log.scans(name) if isinstance(scan, CloudScan)], []
-    for index in np.unique(np.linspace(0, len(scans) - 1, _IMAGES).astype(int)).tolist() if scans else []:
+    for index in np.unique(np.linspace(0, len(scans) - 1, 24).astype(int)).tolist() if scans else []:
         try:
-            points = usable_points(np.asarray(scans[index].points, dtype=np.float64), sensor)
-        except (LogError, ValueError):
+            points = usable_points(scans[index].points, sensor)
+        except ValueError:  # whoever measures them says what is unreadable
             continue
         if points.ndim != 3 or min(points.shape[:2]) < max(_CELLS):
             return []
-        every = int(np.ceil(len(points) / _ROWS))
+        every = int(np.ceil(len(points) / 240))
         found.append(points[::every, ::every])
         if not _are_of_one_camera(found[0], found[-1]):
             return []
@@ -124,8 +118,8 @@ def _planes_in(points: FloatArray, sensor: Sensor, warp: RangeWarp | None) -> li
         members = np.flatnonzero(labels == label)
         numbers, own, count = np.unique(cell[members], return_inverse=True, return_counts=True)
         means = np.stack([np.bincount(own, flat[members, k]) for k in range(3)], axis=1) / count[:, None]
-        full = count >= _SHARE * height * width / (_CELLS[0] * _CELLS[1])
-        if np.count_nonzero(full) < _LEAST_CELLS:
+        full = count >= 0.1 * height * width / (_CELLS[0] * _CELLS[1])
+        if np.count_nonzero(full) < 12:  # cells tell too little
             continue
         means, numbers = means[full], numbers[full]
         ranges, normal = np.linalg.norm(means, axis=1), _frame(means)[:3, 2]
@@ -211,11 +205,12 @@ def _likeliest(information: FloatArray, told: FloatArray, prior: FloatArray) -> 
 
     Those of the parts that grow with the range and do not are looked for in turn, until neither gets likelier.
     """
+    octaves = np.geomspace(1e-5, 0.1, 33).tolist()  # of one and 1/m
     chosen, best = [0.0, 0.0], (np.zeros(len(prior)), 0.0)
-    for _ in range(_TURNS):
+    for _ in range(5):
         before = best[1]
         for part in (0, 1):
-            for octave in _OCTAVES:
+            for octave in octaves:
                 tried = [octave if k == part else one for k, one in enumerate(chosen)]
                 found = _weighed(information, told, np.sqrt(prior) * np.repeat(tried, len(prior) // 2))
                 if found[1] > best[1]:

@@ -12,9 +12,6 @@ from slam.frontend.odometry import Motion, difference, planar_delta, spatial_cov
 from slam.sensors.wheel_noise import UNCALIBRATED_WHEELS
 from spplanes._check import FloatArray
 
-#: Way over which wheels are taken to change by as much as was unknown of them at first, m.
-_MEMORY_M = 500.0
-
 
 class WheelCalibration:
     """Scale and curvature of the odometry, estimated from the motions of the estimate.
@@ -44,7 +41,8 @@ class WheelCalibration:
         if self.covariance is None:
             self.covariance = initial
         way = float(np.linalg.norm(motion.response[:2, 0]))
-        self.covariance = self.covariance + initial * way / _MEMORY_M
+        # over 500 m wheels are taken to change by as much as was unknown of them at first
+        self.covariance = self.covariance + initial * way / 500.0
         most = np.diag(initial) / np.maximum(np.diag(self.covariance), np.finfo(float).tiny)
         self.covariance *= np.sqrt(np.outer(*(2 * [np.minimum(1.0, most)])))
         return self.corrected(motion)

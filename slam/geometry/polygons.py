@@ -12,15 +12,12 @@ from spplanes._check import FloatArray
 from spplanes.outlines.extents import flatten as flatten
 from spplanes.outlines.extents import valid as valid
 
-#: Outlines measured may lie this share of the root of their area off, and this much at most, m: less than the distance
-#: between the points at the borders of large ones.
-_COARSE_SHARE, _COARSEST_M = 0.02, 0.1
-
 
 def coarse(outlines: Sequence[shapely.Polygon]) -> list[shapely.Polygon]:
-    """Outlines with no more corners than their size needs: the border of a large one may be rougher."""
+    """Outlines with no more corners than their size needs: they may lie off by a share of the root of their area, and
+    by 0.1 m at most, less than the distance between the points at the borders of large ones."""
     given = np.array(outlines, dtype=object)
-    simple = shapely.simplify(given, np.minimum(_COARSEST_M, _COARSE_SHARE * np.sqrt(shapely.area(given))))
+    simple = shapely.simplify(given, np.minimum(0.1, 0.02 * np.sqrt(shapely.area(given))))
     good = (shapely.get_type_id(simple) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(simple)
     return np.where(good, simple, given).tolist()
 

@@ -14,8 +14,6 @@ from spplanes.lines.extraction import LineConfig, beam_noise
 from spplanes.noise import SensorModel
 from spplanes.segmentation.validation.one_plane import numbered, patches_of
 
-#: Scans of a 2D laser that are asked how far its beams scatter, and how many beams on lines tell it.
-_ASKED, _TELLING = 150, 1000
 #: How far beams of a 2D laser scatter where nothing is known of it, m: the data sheet of a SICK LMS 200. Lines are
 #: looked for by no less: where beams scatter by less, they are found as well.
 TYPICAL_BEAM_SIGMA_M = 0.015
@@ -52,13 +50,13 @@ def shown_by_lines(sensor: Sensor, scans: Sequence[object]) -> float | None:
     steps of ranges and noise are all in what is found.
     """
     lasers = [scan for scan in scans if isinstance(scan, LaserScan)]
-    asked = [lasers[index] for index in np.unique(np.linspace(0, len(lasers) - 1, _ASKED).astype(int)) if lasers]
+    asked = [lasers[index] for index in np.unique(np.linspace(0, len(lasers) - 1, 150).astype(int)) if lasers]
     beams = [(scan.ranges, scan.angles) for scan in asked]
     limits = LineConfig(
         bearing_sigma=sensor.bearing_sigma_rad, range_min=sensor.range_min_m, range_max=sensor.range_max_m
     )
     seen_m, telling = beam_noise(beams, max(sensor.beam_sigma_m, TYPICAL_BEAM_SIGMA_M), limits)
-    return seen_m if telling >= _TELLING else None
+    return seen_m if telling >= 1000 else None  # beams on lines
 
 
 def with_beam_sigma(sensor: Sensor, seen_m: float) -> Sensor:

@@ -10,9 +10,6 @@ from slam.frontend.occupancy.raster import GAP_STEPS, LEAST_GAP_M
 from spplanes._check import FloatArray
 from spplanes._jit import inlined, njit
 
-#: A normal is fitted to so many returns on either side, within so many metres.
-_MOST, _PATCH_M = 5, 0.25
-
 
 class Cells(NamedTuple):
     """Points of a map, found by the square cells that they lie in."""
@@ -75,15 +72,15 @@ def surface_of(points, away, angle_step, range_variance, surface_variance, corre
 
 @inlined
 def _neighbours(points, i, gap):
-    """The first and the last return of the surface that one lies on, without a gap between."""
-    count, low, high = points.shape[0], i, i
-    while low > 0 and i - low < _MOST and _apart(points, low, low - 1) < gap and _apart(points, i, low) < _PATCH_M:
+    """The first and the last return of the surface that one lies on, without a gap between: five to either side."""
+    count, low, high, most, patch_m = points.shape[0], i, i, 5, 0.25
+    while low > 0 and i - low < most and _apart(points, low, low - 1) < gap and _apart(points, i, low) < patch_m:
         low -= 1
     while (
         high < count - 1
-        and high - i < _MOST
+        and high - i < most
         and _apart(points, high, high + 1) < gap
-        and _apart(points, i, high) < _PATCH_M
+        and _apart(points, i, high) < patch_m
     ):
         high += 1
     return low, high

@@ -24,8 +24,6 @@ from slam.sensors.rig import Sensor
 
 #: Wheels stand that are nearer than this to where they were, m and rad.
 STANDING = 1e-3
-#: Most returns that people hide; and that are farther than usual, because somebody who stood there has left.
-_HIDDEN, _LEFT = 0.5, 0.15
 #: Fewer slices of one place are too few to tell.
 _FEW = 5
 
@@ -77,4 +75,5 @@ def _sees_another_place(scans: Sequence[LaserScan], sensor: Sensor) -> bool:
     usual = np.nanmedian(ranges, axis=0)
     least = 6.0 * np.sqrt(sensor.range_variance_at(usual))  # so many, for the rig may state too little
     nearer, farther = ((off > least).sum(axis=1) / returns for off in (usual - ranges, ranges - usual))
-    return bool(np.any((nearer > _HIDDEN) | (farther > _LEFT)))
+    # people hide half of the returns at most; fewer are farther than usual, because somebody who stood there has left
+    return bool(np.any((nearer > 0.5) | (farther > 0.15)))

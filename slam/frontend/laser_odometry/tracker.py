@@ -30,15 +30,8 @@ from slam.sensors.rig import Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
-#: A match is taken when the map has this share of the scan; a scan joins the map where it lies there as likely as this.
-_LEAST_FIT, _LEAST_ODDS = 0.3, 0.9
-#: Probability that wheels slip, or count wrong, between two scans; and that they err by more than is known of them as
-#: yet, by how many times: of the first steps the rig alone knows.
-_SLIP, _WORSE, _TIMES = 1e-3, 0.05, 4.0
-#: Degrees of freedom of a step's Student t distribution, per axis.
-_TAIL = 4.0
-#: Steps that the stated noise is worth before anything is seen, and over which what was learnt is forgotten.
-_STATED, _MEMORY = 4.0, 150.0
+#: A match is taken when the map has this share of the scan.
+_LEAST_FIT = 0.3
 
 
 class NoiseScale:
@@ -50,7 +43,7 @@ class NoiseScale:
     """
 
     def __init__(self) -> None:
-        self._shape, self._rate = np.full(3, _STATED), np.full(3, _STATED)
+        self._shape, self._rate = np.full(3, 4.0), np.full(3, 4.0)  # what is stated is worth so many steps
 
     @property
     def factors(self) -> FloatArray:
@@ -73,8 +66,8 @@ class NoiseScale:
         stated_variance, before, after = np.diag(stated), np.diag(predicted), np.diag(posterior)
         gain = np.clip(1.0 - after / before, 0.0, 1.0)
         squared = error**2 + after
-        weight = (_TAIL + 1.0) / (_TAIL + squared / before)
-        kept = 1.0 - gain / _MEMORY
+        weight = 5.0 / (4.0 + squared / before)  # of four degrees of freedom
+        kept = 1.0 - gain / 150.0  # over so many steps what was learnt is forgotten
         self._shape = kept * self._shape + gain
         self._rate = kept * self._rate + gain * weight * squared / stated_variance
 
@@ -141,8 +134,10 @@ class LaserOdometry:
             learnt = np.diag(np.square(self._noise.calibration_sigmas))
         led = wheels + response @ self._calibration.mean
         known = self._scale.scaled(random) + response @ learnt @ response.T
-        worse = led, _TIMES**2 * known, _WORSE
-        return [(led, known, 1.0 - _WORSE - _SLIP), worse, (delta, covariance, _SLIP)]
+        # once in a thousand steps wheels slip, or count wrong; once in twenty they err by four times what is known as
+        # yet: of the first steps the rig alone knows
+        slip, worse = 1e-3, 0.05
+        return [(led, known, 1.0 - worse - slip), (led, 16.0 * known, worse), (delta, covariance, slip)]
 
     def _stated(self, steps: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The whole of steps, its response to the wheels' calibration, and its covariance without that."""
@@ -173,7 +168,7 @@ class LaserOdometry:
         moved = between(self._map.scans[-1][1], pose)
         if np.hypot(*moved[:2]) < 0.25 and abs(moved[2]) < 0.3:  # m and rad
             return
-        if match is not None and match.fit >= _LEAST_FIT and match.odds < _LEAST_ODDS:
+        if match is not None and match.fit >= _LEAST_FIT and match.odds < 0.9:  # it may lie elsewhere
             return
         if len(surface.points):
             self._map = self._map.extended(surface, pose)

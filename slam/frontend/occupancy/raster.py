@@ -18,8 +18,6 @@ from spplanes._check import FloatArray
 CELL_M = 0.05
 #: Standard deviation of a return from where the raster has its surface, m: noise, the cell and the wall's unevenness.
 SIGMA_M = 0.05
-#: A return is of a surface when a neighbouring beam's lies within this, m: others graze it, or hit its edge.
-SURFACE_GAP_M = 0.3
 #: Share of returns that come from what was not there, or not seen, when the other view was taken.
 NOVEL_SHARE = 0.1
 _REACH = 3
@@ -87,10 +85,10 @@ def beams_of(scan: LaserScan, ranges: FloatArray, body_T_sensor: FloatArray) -> 
     if abs(body_T_sensor[2, 2]) < LEVEL_COSINE:
         return []
     away = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=1) * ranges[:, None]
-    gaps = np.linalg.norm(np.diff(away, axis=0), axis=1)
-    seen = np.zeros(len(ranges), dtype=bool)
-    seen[1:] |= gaps <= SURFACE_GAP_M
-    seen[:-1] |= gaps <= SURFACE_GAP_M
+    # a return is of a surface when a neighbouring beam's is near: others graze it, or hit its edge
+    near, seen = np.linalg.norm(np.diff(away, axis=0), axis=1) <= 0.3, np.zeros(len(ranges), dtype=bool)
+    seen[1:] |= near
+    seen[:-1] |= near
     away = away[seen]
     ends = away @ body_T_sensor[:2, :2].T + body_T_sensor[:2, 3]
     return [np.hstack((np.broadcast_to(body_T_sensor[:2, 3], ends.shape), ends))]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from slam.frontend._surface_kernels import jumps
-from slam.frontend.scan_surfaces import COLUMNS, ON_EDGE, ON_PLANE, WIDTH, surfaces_of
+from slam.frontend.scan_surfaces import ON_EDGE, ON_PLANE, WIDTH, surfaces_of
 from slam.geometry.frames import lift
 from tests.slam.depth_scenes import HIGH, LOW, SENSOR, looking, measured
 from tests.spplanes.scenes import spun
@@ -57,7 +57,7 @@ def test_elements_are_as_wide_as_beams_are_apart() -> None:
 
 def test_a_scan_without_returns_has_no_elements() -> None:
     points, none = np.full((4, 5, 3), np.nan), np.full((4, 5), -1)
-    assert surfaces_of(points, none, np.empty((0, 4)), SENSOR).shape == (0, COLUMNS)
+    assert surfaces_of(points, none, np.empty((0, 4)), SENSOR).shape == (0, 9)
 
 
 RULES = 0.1, 0.04, 4.0, float(np.cos(0.08))
