@@ -33,13 +33,12 @@ def check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int) -> None
             match with a place that is not before `index`; and what is no keyframe at all.
     """
     try:
-        _check_keyframe(keyframe, after_ns)
-        _check_places(keyframe, index)
+        _check_keyframe(keyframe, after_ns, index)
     except ValueError as error:
         raise KeyframeError(str(error)) from error
 
 
-def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
+def _check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int) -> None:
     check_instance("keyframe", keyframe, Keyframe)
     if not isinstance(keyframe.stamp_ns, int | np.integer):
         raise ValueError(f"keyframe.stamp_ns: expected whole nanoseconds, got {keyframe.stamp_ns!r}")
@@ -58,8 +57,8 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
         as_shape("keyframe.surfaces", keyframe.surfaces, (None, 9))
     if keyframe.viewpoint is not None:
         as_shape("keyframe.viewpoint", keyframe.viewpoint, (3,))
-    for index, seen in enumerate(keyframe.observations):
-        name = f"keyframe.observations[{index}]"
+    for number, seen in enumerate(keyframe.observations):
+        name = f"keyframe.observations[{number}]"
         if not isinstance(seen, Observation):
             raise ValueError(f"{name}: expected a plane or a line that was seen, got {type(seen).__name__}")
         check_fields(name, seen)
@@ -71,14 +70,11 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None) -> None:
             _check_covariance(f"{name}.line.covariance", seen.line.covariance, (2,))
             _check_near(f"{name}.line.endpoints", seen.line.endpoints, _LARGEST_PLANE_M)
     check_fields("keyframe", keyframe)
-    for index, known in enumerate(keyframe.pose_measurements):
+    for number, known in enumerate(keyframe.pose_measurements):
         try:
             known.factor(0)
         except ValueError as error:
-            raise ValueError(f"keyframe.pose_measurements[{index}]: {error}") from error
-
-
-def _check_places(keyframe: Keyframe, index: int) -> None:
+            raise ValueError(f"keyframe.pose_measurements[{number}]: {error}") from error
     for number, match in enumerate(keyframe.places):
         name = f"keyframe.places[{number}]"
         if not 0 <= match.keyframe < index:
@@ -136,11 +132,8 @@ def blind(keyframes: Sequence[Keyframe]) -> list[str]:
 
 def skipped(notes: Sequence[str]) -> list[str]:
     """The sentence that counts scans that could not be used, a note each, and says why for the first of them."""
-    if not notes:
-        return []
-    if len(notes) == 1:
-        return [f"1 scan could not be used: {notes[0]}"]
-    return [f"{len(notes)} scans could not be used; the first: {notes[0]}"]
+    told = "1 scan could not be used" if len(notes) == 1 else f"{len(notes)} scans could not be used; the first"
+    return [f"{told}: {notes[0]}"] if notes else []
 
 
 def _check_covariance(name: str, covariance: FloatArray, sizes: tuple[int, ...]) -> None:

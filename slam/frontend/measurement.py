@@ -61,23 +61,15 @@ def window_poses(stamps_ns: Sequence[int], keyframe_ns: int, track: OdometryTrac
     for side in (stamps < keyframe_ns, stamps >= keyframe_ns):
         members = np.flatnonzero(side)
         outward = members[np.argsort(np.abs(stamps[members] - keyframe_ns), kind="stable")]
-        walked = _walk(
-            [(keyframe_ns, np.eye(4)), *zip(stamps[outward].tolist(), relative[outward], strict=True)], track
-        )
-        for i, row in enumerate(outward):
-            for j, column in enumerate(outward):
-                joint[row, :, column, :] = walked[min(i, j)]
+        walked = [np.zeros((6, 6))]  # on the world side, after each step away from the keyframe
+        steps = [(keyframe_ns, np.eye(4)), *zip(stamps[outward].tolist(), relative[outward], strict=True)]
+        for (start_ns, start), (end_ns, end) in pairwise(steps):
+            base, tip = (start, end) if end_ns > start_ns else (end, start)
+            step = track.noise.covariance(planar_delta(inverse(base) @ tip))
+            walked.append(walked[-1] + _step_covariance(base, tip, step))
+        number = np.arange(1, len(outward) + 1)
+        joint[outward[:, None], :, outward] = np.array(walked)[np.minimum.outer(number, number)]
     return relative, joint.reshape(6 * count, 6 * count)
-
-
-def _walk(poses: Sequence[tuple[int, FloatArray]], track: OdometryTrack) -> list[FloatArray]:
-    """Covariance (6, 6), on the world side, after each step away from the first of poses with their times."""
-    covariances = [np.zeros((6, 6))]
-    for (start_ns, start), (end_ns, end) in pairwise(poses):
-        base, tip = (start, end) if end_ns > start_ns else (end, start)
-        step = track.step_covariance(planar_delta(inverse(base) @ tip))
-        covariances.append(covariances[-1] + _step_covariance(base, tip, step))
-    return covariances[1:]
 
 
 def _step_covariance(base: FloatArray, tip: FloatArray, planar: FloatArray) -> FloatArray:

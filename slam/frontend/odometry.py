@@ -114,7 +114,7 @@ class OdometryTrack:
         """Poses that were held against scans already cannot jump: those were seen."""
         self._stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
         self._poses = np.array([reading.odom_T_body for reading in readings]).reshape(-1, 4, 4)
-        self._noise = noise
+        self.noise = noise
         if (np.diff(self._stamps) <= 0).any():
             keep = np.concatenate(([True], np.diff(self._stamps) > 0))
             self._stamps, self._poses = self._stamps[keep], self._poses[keep]
@@ -149,20 +149,16 @@ class OdometryTrack:
         near = slice(min(int(first), len(self) - 2), max(int(last), int(first) + 2))
         return interpolate_poses(self._stamps[near], self._poses[near], stamps)
 
-    def step_covariance(self, delta: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of one step (x, y, theta) by the noise model of the wheels."""
-        return self._noise.covariance(delta)
-
     def step_variances(self, deltas: FloatArray) -> FloatArray:
         """Variance of each of steps (K, 3) by the wheels' random walk alone, x, y and heading added, shape (K,)."""
-        return np.trace(self._noise.random_covariances(deltas), axis1=1, axis2=2)
+        return np.trace(self.noise.random_covariances(deltas), axis1=1, axis2=2)
 
     def motion(self, start_ns: int, end_ns: int) -> Motion:
         """Motion between two times, its covariance accumulated over the readings between them."""
         inside = self._stamps[(self._stamps > start_ns) & (self._stamps < end_ns)]
         poses = self.poses_at([start_ns, *inside.tolist(), end_ns])
         a_T_b = inverse(poses[0]) @ poses[-1]
-        noise = self._noise
+        noise = self.noise
         steps = np.array([planar_delta(inverse(a) @ b) for a, b in pairwise(poses)])
         _, covariance = noise.accumulate(steps)
         out_of_plane = (noise.z_sigma_m, noise.roll_sigma_rad, noise.pitch_sigma_rad)

@@ -108,8 +108,8 @@ def _spread(points, low, high):
 
 
 @njit(cache=True)
-def nearness(points, origin, cell, columns, rows, sigma):
-    """How near each cell (rows, columns) is to a point: exp(-d^2 / 2 sigma^2), 0 beyond three cells."""
+def nearness(points, origin, cell, columns, rows):
+    """How near each cell (rows, columns) is to a point: exp(-d^2 / 2 cell^2), 0 beyond three cells."""
     table = np.zeros((rows, columns))
     reach = 3
     for k in range(points.shape[0]):
@@ -118,7 +118,7 @@ def nearness(points, origin, cell, columns, rows, sigma):
             for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
                 dx = origin[0] + (c + 0.5) * cell - points[k, 0]
                 dy = origin[1] + (r + 0.5) * cell - points[k, 1]
-                near = np.exp(-0.5 * (dx * dx + dy * dy) / (sigma * sigma))
+                near = np.exp(-0.5 * (dx * dx + dy * dy) / (cell * cell))
                 if near > table[r, c]:
                     table[r, c] = near
     return table

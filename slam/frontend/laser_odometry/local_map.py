@@ -110,8 +110,7 @@ class LocalMap:
             cell, cells = coarser * TABLE_CELL_M, self.cells
             origin = cells.origin - 3.0 * cell
             columns, rows = np.ceil(np.array((cells.columns, cells.rows)) * CELL_M / cell + 6.0).astype(int).tolist()
-            table = nearness(cells.points, origin, cell, columns, rows, cell)  # the width of its bell is a cell's
-            self._tables[coarser] = table, origin
+            self._tables[coarser] = nearness(cells.points, origin, cell, columns, rows), origin
         return self._tables[coarser]
 
 

@@ -48,7 +48,7 @@ class LaserTrack(OdometryTrack):
         """Motion between two times: `covariance` is that of the wheels, `returns_covariance` that of the returns."""
         first, last = self._index(start_ns), self._index(end_ns)
         a_T_b = inverse(self.poses_at([start_ns])[0]) @ self.poses_at([end_ns])[0]
-        noise, delta = self._noise, planar_delta(a_T_b)
+        noise, delta = self.noise, planar_delta(a_T_b)
         floor = np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
         wheels = self._walked(first, last) + floor
         matched = matched_covariance(self._steps[first], self._steps[last], delta)
@@ -153,12 +153,12 @@ def between_scans(steps: Sequence[Step], wheels: OdometryTrack | None) -> list[O
 
 def _going_on(steps: Sequence[Step]) -> list[OdometryReading]:
     """A step more at both ends: other sensors look before the first scan and after the last."""
-    found = []
-    for end, beside in ((0, 1), (-1, -2)) if len(steps) > 1 else ():
-        a, b = steps[beside], steps[end]
-        pose = compose(b.pose, between(a.pose, b.pose))
-        found.append(OdometryReading(2 * b.stamp_ns - a.stamp_ns, planar_transform(*pose)))
-    return found
+    ends = [(steps[1], steps[0]), (steps[-2], steps[-1])] if len(steps) > 1 else []
+    poses = [compose(b.pose, between(a.pose, b.pose)) for a, b in ends]
+    return [
+        OdometryReading(2 * b.stamp_ns - a.stamp_ns, planar_transform(*pose))
+        for (a, b), pose in zip(ends, poses, strict=True)
+    ]
 
 
 def _unevenness(steps: Sequence[Step]) -> FloatArray:
@@ -166,9 +166,8 @@ def _unevenness(steps: Sequence[Step]) -> FloatArray:
     moved = np.array([np.zeros(3), *(between(a.pose, b.pose) for a, b in pairwise(steps))])
     seconds = 1e-9 * np.diff([step.stamp_ns for step in steps], prepend=steps[0].stamp_ns - 1)
     velocities = moved / seconds[:, None]
-    last = len(steps) - 1
-    near = [(min(max(k - 1, 1), last), min(k + 1, last)) for k in range(len(steps))]
-    changes = np.array([velocities[after] - velocities[before] for before, after in near])
+    numbers, last = np.arange(len(steps)), len(steps) - 1
+    changes = velocities[np.minimum(numbers + 1, last)] - velocities[np.clip(numbers - 1, 1, last)]
     return np.asarray(np.abs(changes) * seconds[:, None], dtype=np.float64)
 
 

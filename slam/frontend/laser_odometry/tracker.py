@@ -98,9 +98,9 @@ class LaserOdometry:
         expected = [Expected(compose(before, delta), turn @ cov @ turn.T, share) for delta, cov, share in ways]
         match = self._match(surface, expected)
         pose, told, spread, used = expected[0].pose, np.zeros((3, 3)), np.zeros((3, 3)), 0
-        if match is not None and match.fit >= _LEAST_FIT:
+        if match.fit >= _LEAST_FIT:
             pose, told, used = match.pose, match.information, match.way
-        if match is not None and match.odds < 1.0:
+        if match.odds < 1.0:
             # it may be elsewhere: true of the way there and of what is seen, half of it said by each
             away = difference(match.pose, pose)
             spread = 2.0 * (match.spread + np.outer(away, away))
@@ -156,19 +156,20 @@ class LaserOdometry:
         moved = between(before.pose, step.pose)
         return 1e-9 * (step.stamp_ns - before.stamp_ns), moved, matched_covariance(before, step, moved)
 
-    def _match(self, surface: Surface, expected: list[Expected]) -> Match | None:
+    def _match(self, surface: Surface, expected: list[Expected]) -> Match:
+        """Where the scan lies in the map; one that cannot be matched fits it nowhere."""
         if self._map.is_empty or len(surface.points) < 3:
-            return None
+            return Match(expected[0].pose, np.zeros((3, 3)), 0.0, 0.0, 0)
         match = match_scan(surface, self._map, expected, self._fit)
         self._fit += (np.clip(match.fit, 0.5, 0.98) - self._fit) / 50.0
         return match
 
-    def _extend_map(self, surface: Surface, pose: FloatArray, match: Match | None) -> None:
+    def _extend_map(self, surface: Surface, pose: FloatArray, match: Match) -> None:
         """Add the scan to the map when the body has come far enough, and learn from the way since the last one."""
         moved = between(self._map.scans[-1][1], pose)
         if np.hypot(*moved[:2]) < 0.25 and abs(moved[2]) < 0.3:  # m and rad
             return
-        if match is not None and match.fit >= _LEAST_FIT and match.odds < 0.9:  # it may lie elsewhere
+        if match.fit >= _LEAST_FIT and match.odds < 0.9:  # it may lie elsewhere
             return
         if len(surface.points):
             self._map = self._map.extended(surface, pose)
@@ -212,8 +213,7 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
             delta = planar_delta(inverse(wheels[last]) @ wheels[index])
         sensor = sensors[scan.sensor]
         at_once = scan if track is None else unswept(scan, sensor, track)
-        surface = Surface.of(at_once, sensor)
-        odometry.add(scan.stamp_ns, surface, delta)
+        odometry.add(scan.stamp_ns, Surface.of(at_once, sensor), delta)
         last = index
     return LaserTrack(odometry.steps, rig.odometry, between_scans(odometry.steps, track))
 
