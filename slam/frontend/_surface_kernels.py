@@ -11,9 +11,6 @@ import numpy as np
 
 from spplanes._jit import inlined, njit
 
-#: The multiplier that spreads keys over a hash table (Knuth).
-_SPREAD = np.uint64(0x9E3779B97F4A7C15)
-
 
 @njit(cache=True)
 def numbered(keys):
@@ -37,7 +34,7 @@ def numbered(keys):
             number[k] = number[k - 1]
             count[number[k]] += 1
             continue
-        slot = (np.uint64(key) * _SPREAD) >> shift
+        slot = (np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> shift  # Knuth's multiplier spreads keys
         while slots[slot] >= 0 and keys[first[slots[slot]]] != key:
             slot = (slot + np.uint64(1)) & mask
         if slots[slot] < 0:

@@ -161,9 +161,7 @@ def _check_wheels(name: str, motion: Motion) -> None:
         if not all(0.0 <= sigma <= _LARGEST_SIGMA for sigma in motion.calibration_sigmas):
             wanted = "standard deviations of scale and curvature"
             raise ValueError(f"{name}.calibration_sigmas: expected {wanted}, got {motion.calibration_sigmas}")
-    if not motion.is_planar:
-        return
-    for sigma in motion.out_of_plane_sigmas:
+    for sigma in motion.out_of_plane_sigmas if motion.is_planar else ():
         if not _LEAST_SIGMA <= sigma <= _LARGEST_SIGMA:
             wanted = f"standard deviations from {_LEAST_SIGMA:g} to {_LARGEST_SIGMA:g}"
             raise ValueError(f"{name}.out_of_plane_sigmas: expected {wanted}, got {sigma}")

@@ -115,9 +115,8 @@ class OdometryTrack:
         self._stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
         self._poses = np.array([reading.odom_T_body for reading in readings]).reshape(-1, 4, 4)
         self.noise = noise
-        if (np.diff(self._stamps) <= 0).any():
-            keep = np.concatenate(([True], np.diff(self._stamps) > 0))
-            self._stamps, self._poses = self._stamps[keep], self._poses[keep]
+        later = np.diff(self._stamps, prepend=self._stamps[:1] - 1) > 0
+        self._stamps, self._poses = self._stamps[later], self._poses[later]
         self._jumps = _jumps(self._stamps, self._poses) if can_jump else np.zeros(0, dtype=np.int64)
         self._poses, self._change = _continued(self._stamps, self._poses, self._jumps)
 

@@ -15,7 +15,7 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,7 @@ THING_M = 0.5
 _LEAST_ON_PLANE, _LEAST = 3, 6
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
+class _Cells(NamedTuple):
     """Points gathered in cubes whose width grows with the range."""
 
     mean: FloatArray
@@ -55,17 +54,17 @@ class _Cells:
     """Of its points, shape (N,)."""
 
     @classmethod
-    def of(cls, points: FloatArray, labels: np.ndarray, share: float) -> _Cells:
-        """Points (N, 3), seen from the origin, with labels (N,) that are kept apart; below nought: left out."""
+    def of(cls, points: FloatArray, labels: np.ndarray, share: float, least: int = 1) -> _Cells:
+        """Points (N, 3), seen from the origin, with labels (N,) that are kept apart; below nought: left out.
+
+        Of cubes those that hold so many at least.
+        """
         keys = cube_keys(points, labels, share)
         number, first, count = numbered(keys)
         mean, scatter = moments(points, number, count)
         order = np.argsort(keys[first])
-        return cls(mean[order], scatter[order], count[order], labels[first[order]])
-
-    def only(self, chosen: np.ndarray) -> _Cells:
-        """Those of a mask (N,)."""
-        return _Cells(self.mean[chosen], self.covariance[chosen], self.count[chosen], self.label[chosen])
+        kept = order[count[order] >= least]
+        return cls(mean[kept], scatter[kept], count[kept], labels[first[kept]])
 
 
 def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sensor: Sensor) -> FloatArray:
@@ -88,8 +87,8 @@ def surfaces_of(points: FloatArray, labels: np.ndarray, planes: FloatArray, sens
     )
     parts = [
         _on_edges(points, labels, max(apart)),
-        _on_planes(_Cells.of(thin, on_plane, wide), planes, sensor),
-        _on_no_plane(_Cells.of(thin, rest, own), sensor),
+        _on_planes(_Cells.of(thin, on_plane, wide, _LEAST_ON_PLANE), planes, sensor),
+        _on_no_plane(_Cells.of(thin, rest, own, _LEAST), sensor),
     ]
     shares = np.repeat([_SHARE, wide, own], [len(part) for part in parts])
     rows = np.concatenate(parts)
@@ -122,28 +121,25 @@ def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def _on_planes(cells: _Cells, planes: FloatArray, sensor: Sensor) -> FloatArray:
-    some = cells.only(cells.count >= _LEAST_ON_PLANE)
-    normals, d = planes[some.label, :3], planes[some.label, 3]
-    points = some.mean - (np.einsum("ki,ki->k", some.mean, normals) - d)[:, None] * normals
-    return _rows(points, normals, _sigma(some, sensor), ON_PLANE)
+    normals, d = planes[cells.label, :3], planes[cells.label, 3]
+    points = cells.mean - (np.einsum("ki,ki->k", cells.mean, normals) - d)[:, None] * normals
+    return _rows(points, normals, _sigma(cells, sensor), ON_PLANE)
 
 
 def _on_no_plane(cells: _Cells, sensor: Sensor) -> FloatArray:
-    some = cells.only(cells.count >= _LEAST)
-    values, vectors = np.linalg.eigh(some.covariance)
+    values, vectors = np.linalg.eigh(cells.covariance)
     normals = vectors[:, :, 0]
-    along = np.einsum("ki,ki->k", normals, some.mean) / np.maximum(np.linalg.norm(some.mean, axis=1), 1e-9)
+    along = np.einsum("ki,ki->k", normals, cells.mean) / np.maximum(np.linalg.norm(cells.mean, axis=1), 1e-9)
     normals = normals * np.where(along > 0.0, -1.0, 1.0)[:, None]  # toward the sensor
     # points tell a direction that are broad, thin, and not seen edge-on (variances, and a sine)
     flat = (values[:, 1] > 0.1 * values[:, 2]) & (values[:, 0] < 0.1 * values[:, 1]) & (np.abs(along) > 0.15)
-    some = some.only(flat)
-    return _rows(some.mean, normals[flat], _sigma(some, sensor), ON_NO_PLANE)
+    return _rows(cells.mean, normals, _sigma(cells, sensor), ON_NO_PLANE)[flat]
 
 
 def _sigma(cells: _Cells, sensor: Sensor) -> FloatArray:
     """Standard deviation of the mean of each cell along its direction, (N,), m."""
     variance = sensor.range_variance_at(np.linalg.norm(cells.mean, axis=1))
-    return np.sqrt(variance / np.maximum(cells.count, 1))
+    return np.sqrt(variance / cells.count)
 
 
 def _on_edges(points: FloatArray, labels: np.ndarray, width: float) -> FloatArray:

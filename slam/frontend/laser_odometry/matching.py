@@ -165,11 +165,7 @@ def _most_probable(found: list[Match], surface: Surface, there: LocalMap, ways: 
     costs = np.array([_unlikelihood(one.pose, ways[one.way]) + one.misfit for one in found])
     # the cells of the rasters are too coarse to tell what is nearer than a cell: the misfit does
     if any((np.abs(difference(pose, poses[0])) > _SAME).any() for pose in poses):
-        mine, map_ = LocalMap(((surface, np.zeros(3)),)).raster, there.raster
-        costs -= score_motions(
-            poses, RASTER_CELL_M, mine.points, mine.weight, map_.table, map_.origin,
-            map_.points, map_.weight, mine.table, mine.origin,
-        )  # fmt: skip
+        costs -= score_motions(poses, RASTER_CELL_M, LocalMap(((surface, np.zeros(3)),)).raster, there.raster)
     order = np.argsort(costs, kind="stable").tolist()
     best, rivals = order[0], []
     for k in order[1:]:  # alignments that ended in one place are one

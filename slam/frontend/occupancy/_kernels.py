@@ -43,26 +43,26 @@ def squared_distances(hits, reach):
 
 
 @njit(cache=True)
-def score_motions(motions, cell, points, weight, table, origin, others, other_weight, other_table, other_origin):
-    """Mean over both ways of the weighted sum under b_T_a = (x, y, theta), (M,): points of a in b's table and back."""
+def score_motions(motions, cell, a, b):
+    """Mean over both ways of the weighted sum under b_T_a = (x, y, theta), (M,): points of raster a in b, and back."""
     result = np.empty(motions.shape[0])
-    rows, columns = table.shape
-    other_rows, other_columns = other_table.shape
+    rows, columns = b.table.shape
+    other_rows, other_columns = a.table.shape
     for m in range(motions.shape[0]):
         x, y, theta = motions[m, 0], motions[m, 1], motions[m, 2]
         c, s = np.cos(theta), np.sin(theta)
         there = back = 0.0
-        for k in range(points.shape[0]):
-            u = c * points[k, 0] - s * points[k, 1] + x - origin[0]
-            v = s * points[k, 0] + c * points[k, 1] + y - origin[1]
+        for k in range(a.points.shape[0]):
+            u = c * a.points[k, 0] - s * a.points[k, 1] + x - b.origin[0]
+            v = s * a.points[k, 0] + c * a.points[k, 1] + y - b.origin[1]
             column, row = int(np.floor(u / cell)), int(np.floor(v / cell))
             if 0 <= column < columns and 0 <= row < rows:
-                there += table[row, column]
-        for k in range(others.shape[0]):
-            dx, dy = others[k, 0] - x, others[k, 1] - y
-            u, v = c * dx + s * dy - other_origin[0], c * dy - s * dx - other_origin[1]
+                there += b.table[row, column]
+        for k in range(b.points.shape[0]):
+            dx, dy = b.points[k, 0] - x, b.points[k, 1] - y
+            u, v = c * dx + s * dy - a.origin[0], c * dy - s * dx - a.origin[1]
             column, row = int(np.floor(u / cell)), int(np.floor(v / cell))
             if 0 <= column < other_columns and 0 <= row < other_rows:
-                back += other_table[row, column]
-        result[m] = 0.5 * (weight * there + other_weight * back)
+                back += a.table[row, column]
+        result[m] = 0.5 * (a.weight * there + b.weight * back)
     return result

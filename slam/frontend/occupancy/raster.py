@@ -6,7 +6,7 @@ Small things in front of all beside them stand free, and may be on their way, as
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ GAP_STEPS, LEAST_GAP_M = 6.0, 0.15
 MOVABLE_M = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Raster:
+class Raster(NamedTuple):
     """Beams of one view, rasterised: for each cell the log ratio of a return's density there to that in the unknown."""
 
     origin: FloatArray

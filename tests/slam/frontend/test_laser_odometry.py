@@ -19,7 +19,7 @@ from slam.frontend.laser_odometry.matching import Expected, Match, match_scan
 from slam.frontend.laser_odometry.track import LaserTrack, Step, between_scans, motion_between
 from slam.frontend.laser_odometry.tracker import LaserOdometry, NoiseScale, laser_track
 from slam.frontend.occupancy.raster import free_standing
-from slam.frontend.odometry import OdometryTrack, planar_delta
+from slam.frontend.odometry import Motion, OdometryTrack, planar_delta
 from slam.geometry.frames import inverse, planar_transform
 from slam.io.default_rigs import default_rig_for
 from slam.runs.slam_run import run_slam
@@ -59,6 +59,12 @@ def track_of(log: Log) -> LaserTrack:
 
 def scans_alone(log: Log) -> Log:
     return replace(log, events=log.scans())
+
+
+def with_scans(log: Log, scans: list[LaserScan]) -> Log:
+    """With these alone of its scans."""
+    kept = {id(scan) for scan in scans}
+    return replace(log, events=[one for one in log.events if isinstance(one, OdometryReading) or id(one) in kept])
 
 
 def errors_of(track: OdometryTrack, truth: Drive) -> tuple[np.ndarray, np.ndarray]:
@@ -287,33 +293,30 @@ def test_what_the_lines_say_is_not_said_twice():
     np.testing.assert_allclose(alone.covariance, whole.returns_covariance, rtol=1e-2, atol=1e-9)  # no lines: all of it
 
 
-def between_keyframes(truth: Drive) -> tuple[LaserTrack, OdometryTrack, list[tuple[int, int]]]:
-    """The track of a drive, its wheels, and the ends of motions over half a metre."""
+def between_keyframes(truth: Drive) -> list[tuple[Motion, Motion, Motion]]:
+    """Of motions over half a metre those for the graph, those of the wheels, and the matched ones."""
     stamps = [scan.stamp_ns for scan in truth.log.scans()][::GAP]
-    return track_of(truth.log), OdometryTrack(truth.log.odometry, stated(truth.log).odometry), list(pairwise(stamps))
+    track, wheels = track_of(truth.log), OdometryTrack(truth.log.odometry, stated(truth.log).odometry)
+    ends = pairwise(stamps)
+    return [(motion_between(track, wheels, pair, 1e-6), wheels.motion(*pair), track.motion(*pair)) for pair in ends]
 
 
 def test_wheels_that_agree_with_the_returns_are_the_factor_and_owe_nothing_to_them():
-    track, wheels, ends = between_keyframes(rooms(11))
-    agreed = 0
-    for pair in ends:
-        motion, raw = motion_between(track, wheels, pair, 1e-6), wheels.motion(*pair)
-        if np.array_equal(motion.a_T_b, raw.a_T_b):
-            agreed += 1
-            assert np.linalg.eigvalsh(motion.covariance - raw.covariance).min() > -1e-12  # never surer than stated
-            np.testing.assert_array_equal(motion.returns_a_T_b, track.motion(*pair).a_T_b)
-    assert agreed >= len(ends) - 1
+    found = between_keyframes(rooms(11))
+    agreed = [one for one in found if np.array_equal(one[0].a_T_b, one[1].a_T_b)]
+    for motion, raw, matched in agreed:
+        assert np.linalg.eigvalsh(motion.covariance - raw.covariance).min() > -1e-12  # never surer than stated
+        np.testing.assert_array_equal(motion.returns_a_T_b, matched.a_T_b)
+    assert len(agreed) >= len(found) - 1
 
 
 def test_wheels_that_slip_are_not_the_factor():
-    track, wheels, ends = between_keyframes(rooms(5, Wheels(slip_rad=0.35, slip_m=0.2, n_slips=2)))
     off = []
-    for pair in ends:
-        motion, raw = motion_between(track, wheels, pair, 1e-6), wheels.motion(*pair)
+    for motion, raw, matched in between_keyframes(rooms(5, Wheels(slip_rad=0.35, slip_m=0.2, n_slips=2))):
         if not np.array_equal(motion.a_T_b, raw.a_T_b):
             np.testing.assert_array_equal(motion.refuted_a_T_b, raw.a_T_b)  # kept: a wrong mount refutes them too
             assert motion.is_by_returns and motion.is_measured
-            off.append(abs(planar_delta(inverse(raw.a_T_b) @ track.motion(*pair).a_T_b)[2]))
+            off.append(abs(planar_delta(inverse(raw.a_T_b) @ matched.a_T_b)[2]))
     assert 1 <= len(off) <= 4 and max(off) > 0.2
 
 
@@ -332,17 +335,13 @@ def test_a_laser_upside_down_measures_as_the_right_way_up():
 def test_between_scans_before_the_first_and_after_the_last_the_wheels_say_how_it_went():
     truth = rooms(10)
     scans = truth.log.scans()
-    inner = {id(scan) for scan in scans[20:-20]}
-    events = [event for event in truth.log.events if isinstance(event, OdometryReading) or id(event) in inner]
-    track, wheels = track_of(replace(truth.log, events=events)), OdometryTrack(truth.log.odometry, NOISE)
+    track, wheels = track_of(with_scans(truth.log, scans[20:-20])), OdometryTrack(truth.log.odometry, NOISE)
     for stamps in ([scans[2].stamp_ns, scans[20].stamp_ns], [scans[-21].stamp_ns, scans[-3].stamp_ns]):
         ours, theirs = (inverse(first) @ last for first, last in (one.poses_at(stamps) for one in (track, wheels)))
         np.testing.assert_allclose(ours, theirs, atol=1e-9)
         assert np.linalg.norm(ours[:3, 3]) > 0.1
     dense = track_of(truth.log)  # at every other scan alone, what the wheels say between is all there is
-    halves = {id(scan) for scan in scans[::2]}
-    events = [event for event in truth.log.events if isinstance(event, OdometryReading) or id(event) in halves]
-    half, stamps = track_of(replace(truth.log, events=events)), [scan.stamp_ns for scan in scans[1:-1:2]]
+    half, stamps = track_of(with_scans(truth.log, scans[::2])), [scan.stamp_ns for scan in scans[1:-1:2]]
     off = np.linalg.inv(half.poses_at(stamps)) @ dense.poses_at(stamps)
     assert np.quantile(np.abs(off[:, :2, 3]), 0.9) < 0.006
     np.testing.assert_allclose(half.poses_at([scans[4].stamp_ns])[0], planar_transform(*half._steps[2].pose))
