@@ -112,11 +112,9 @@ class ScanMeasurement:
     """All its returns, thinned, as surface elements, shape (N, 9); see `surfaces_of`. None: it has no returns."""
 
 
-def planes_of_cloud(
-    scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment = label_scans
-) -> list[PlaneObservation]:
+def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
     """Planes of one 3D scan in the body frame, each facing the sensor, largest first."""
-    return measured_cloud(scan, sensor, config, segment).observations
+    return measured_cloud(scan, sensor, config).observations
 
 
 def measured_cloud(

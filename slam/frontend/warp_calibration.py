@@ -223,8 +223,6 @@ def _likeliest(information: FloatArray, told: FloatArray, prior: FloatArray) -> 
 def _weighed(information: FloatArray, told: FloatArray, deviations: FloatArray) -> tuple[FloatArray, float]:
     """Weights with prior standard deviations (2 K,), and the evidence of these over that of none, a logarithm."""
     weights, used = np.zeros(len(deviations)), deviations > 0.0
-    if not used.any():
-        return weights, 0.0
     scale = deviations[used]
     lower = np.linalg.cholesky(np.eye(len(scale)) + scale[:, None] * information[np.ix_(used, used)] * scale)
     seen = np.linalg.solve(lower, scale * told[used])

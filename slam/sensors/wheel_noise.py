@@ -56,7 +56,7 @@ class OdometryNoise(Frozen):
     def accumulate(self, deltas: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Compose motions (K, 3) one after another: the whole motion (3,) and its covariance (3, 3), first order."""
         steps = as_shape("deltas", deltas, (None, 3))
-        total, covariance, response = _compose(steps, _random_covariances(steps, self._variances()))
+        total, covariance, response = _compose(steps, self.random_covariances(steps))
         systematic = np.diag([self.scale_sigma**2, self.curvature_sigma_rad_per_m**2])
         floor = np.diag([self.floor_m**2, self.floor_m**2, self.floor_rad**2])
         return total, covariance + response @ systematic @ response.T + floor
@@ -73,9 +73,6 @@ class OdometryNoise(Frozen):
 
     def random_covariances(self, deltas: ArrayLike) -> FloatArray:
         """Covariances (K, 3, 3) of the random walk alone over motions (K, 3), without floor and calibration errors."""
-        return _random_covariances(as_shape("deltas", deltas, (None, 3)), self._variances())
-
-    def _variances(self) -> FloatArray:
         sigmas = (
             self.along_sigma_m_per_sqrt_m,
             self.lateral_sigma_m_per_sqrt_m,
@@ -83,7 +80,7 @@ class OdometryNoise(Frozen):
             self.heading_sigma_rad_per_sqrt_rad,
             self.slip_sigma_m_per_sqrt_rad,
         )
-        return np.array(sigmas) ** 2
+        return _random_covariances(as_shape("deltas", deltas, (None, 3)), np.array(sigmas) ** 2)
 
 
 #: What to expect of the wheels of a robot nobody describes. From the 909 steps of the Intel Research Lab log against

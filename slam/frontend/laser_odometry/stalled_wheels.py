@@ -54,8 +54,6 @@ def over_stalls(motion: Motion, seconds: float, rules: CoastingConfig) -> Motion
 
 def stalls_of(scans: Sequence[LaserScan], sensor: Sensor, track: OdometryTrack) -> list[Stall]:
     """Stretches over which the odometry has the robot at one place and the slices of a sensor do not."""
-    if len(scans) < _FEW:
-        return []
     poses, found, first = track.poses_at([scan.stamp_ns for scan in scans]), [], 0
     for end in range(1, len(scans) + 1):
         if end < len(scans) and not are_apart(poses[first], poses[end], STANDING, STANDING):

@@ -127,8 +127,6 @@ def between_scans(steps: Sequence[Step], wheels: OdometryTrack | None) -> list[O
     place and for the heading. Before the first scan and after the last there are the wheels alone; without any the body
     goes on there as in the step beside, for as long as that took.
     """
-    if not steps:
-        return []
     if not wheels:
         return _going_on(steps)
     stamps = np.array([step.stamp_ns for step in steps], dtype=np.int64)

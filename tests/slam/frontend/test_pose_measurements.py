@@ -56,15 +56,11 @@ def test_it_reaches_the_graph_and_an_estimator_that_resumes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("bad", "says"),
-    [
-        (GravityMeasurement(np.zeros(3), 0.1), "expected a direction"),
-        (GravityMeasurement(np.array([0.0, 0.0, np.nan]), 0.1), "finite"),
-        (GravityMeasurement(np.array([0.0, 0.0, 1.0]), -0.1), "sigma_rad"),
-    ],
+    ("up_z", "sigma_rad", "says"),
+    [(0.0, 0.1, "expected a direction"), (np.nan, 0.1, "finite"), (1.0, -0.1, "sigma_rad")],
 )
-def test_one_that_is_none_is_refused_and_leaves_no_trace(bad, says):
-    slam = PlaneSlam()
+def test_one_that_is_none_is_refused_and_leaves_no_trace(up_z, sigma_rad, says):
+    slam, bad = PlaneSlam(), GravityMeasurement(np.array([0.0, 0.0, up_z]), sigma_rad)
     with pytest.raises(ValueError, match=says) as refused:
         slam.add_keyframe(replace(Keyframe(0, []), pose_measurements=(bad,)))
     assert str(refused.value).startswith("keyframe.pose_measurements[0]") and len(slam.keyframes) == 0

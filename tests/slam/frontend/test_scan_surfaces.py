@@ -55,11 +55,6 @@ def test_elements_are_as_wide_as_beams_are_apart() -> None:
         assert 0.7 < covered.sum() / np.ptp(points.reshape(-1, 3), axis=0)[1:].prod() < 4.5
 
 
-def test_a_scan_without_returns_has_no_elements() -> None:
-    points, none = np.full((4, 5, 3), np.nan), np.full((4, 5), -1)
-    assert surfaces_of(points, none, np.empty((0, 4)), SENSOR).shape == (0, 9)
-
-
 RULES = 0.1, 0.04, 4.0, float(np.cos(0.08))
 
 
