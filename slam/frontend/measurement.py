@@ -170,8 +170,9 @@ def _flat_planes(
     rows = moments_of(found.points, found.covariance, found.labels, settings)
     rough, spreads = frames_of(rows, np.zeros((len(rows), 3)))
     regions = Regions(points, covariances, found.labels, rough, sensor, viewpoint, settings, config.measurements)
-    believed = believed_planes(well_conditioned(on_planes(unambiguous(regions))))
-    labels, region = relabelled(regions, believed)
+    sure = well_conditioned(on_planes(unambiguous(regions)))
+    believed = believed_planes(sure)
+    labels, region = relabelled(regions, sure.labels, believed)
     extents = np.sqrt(spreads[:, 1:] / rows[:, 1:2])
     flat = [one.plane for planes in believed for one in planes]
     frames = np.array([plane.frame for plane in flat]).reshape(-1, 4, 4)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -77,16 +78,13 @@ class ScanPart:
         return ScanPart(self.of, self.members[chosen], self._frame)
 
 
-@dataclass(frozen=True, eq=False)
-class Believed:
+class Believed(NamedTuple):
     """A region that is a plane."""
 
     plane: Plane
     """What it is."""
     part: ScanPart
     """The points that are on it."""
-    strayed: np.ndarray
-    """Members of the region that are not, shape (N,)."""
 
 
 def members_of(labels: np.ndarray, count: int) -> list[np.ndarray]:
@@ -181,32 +179,28 @@ def _parted(one: Believed) -> list[Believed]:
     ]
     believed = [found for side in enough if (found := believed_plane(side)) is not None]
     planes = [part for found in believed for part in _parted(found)]
-    planes.sort(key=lambda found: (-found.plane.n_points, int(found.part.members[0])))
-    if planes:
-        kept = np.concatenate([found.part.members for found in planes])
-        rest = np.setdiff1d(one.part.members, kept, assume_unique=True)
-        planes[0] = replace(planes[0], strayed=np.concatenate((one.strayed, rest)))
-    return planes
+    return sorted(planes, key=lambda found: (-found.plane.n_points, int(found.part.members[0])))
 
 
-def relabelled(regions: Regions, believed: Sequence[Sequence[Believed]]) -> tuple[np.ndarray, np.ndarray]:
+def relabelled(
+    regions: Regions, sure: np.ndarray, believed: Sequence[Sequence[Believed]]
+) -> tuple[np.ndarray, np.ndarray]:
     """Number of the plane of every point, -2 in regions that are none, -1 elsewhere, and each plane's region, (P,).
 
-    What nobody was sure of goes with its region; of several planes with the nearest.
+    What was no part of the regions that were believed in, by their labels (S, B), goes with its region; of several
+    planes with the nearest.
     """
     points, _, labels = regions[:3]
     counts = np.array([len(planes) for planes in believed], dtype=np.int64)
     first = np.cumsum(counts) - counts
     fresh = np.append(np.where(counts > 0, first, -2), -1)[labels]
-    for k in np.flatnonzero(counts).tolist():
-        for one in believed[k]:
-            fresh.ravel()[one.strayed] = -1
+    fresh[np.append(counts > 0, False)[sure]] = -1
     for k in np.flatnonzero(counts > 1).tolist():
         members = np.flatnonzero((labels.ravel() == k) & (fresh.ravel() >= 0))
         off = [np.abs(one.plane.distance(points.reshape(-1, 3)[members])) for one in believed[k]]
         fresh.ravel()[members] = first[k] + np.argmin(off, axis=0)
-        for number, one in enumerate(believed[k]):
-            fresh.ravel()[one.part.members] = first[k] + number
+    for number, one in enumerate(chain.from_iterable(believed)):
+        fresh.ravel()[one.part.members] = number
     return fresh, np.repeat(np.arange(len(believed)), counts)
 
 
@@ -224,7 +218,7 @@ def _with_shared_error(planes: Sequence[Believed]) -> list[Believed]:
         stated=True,
     )
     return [
-        replace(plane, plane=replace(plane.plane, covariance=covariance))
+        plane._replace(plane=replace(plane.plane, covariance=covariance))
         for plane, covariance in zip(planes, shared.covariances, strict=True)
     ]
 
@@ -243,8 +237,7 @@ def believed_plane(part: ScanPart) -> Believed | None:
         drift_m = tilt_drift(plane, rest.points, sensor) if sensor.tilt_sigma_rad > 0.0 else None
         patches = InPatches(plane, rest.points, rest.noise, rules, drift_m=drift_m)
         if could_be_seen(plane, viewpoint, rules) and fits_its_noise(plane, rules) and not patches.has_step:
-            strayed = part.members[:0] if rest is part else np.setdiff1d(part.members, rest.members, assume_unique=True)
-            return Believed(plane, rest, strayed)
+            return Believed(plane, rest)
         chosen = patches.without_strays()
         if chosen is None or np.count_nonzero(chosen) < 0.9 * len(part.members):
             return None

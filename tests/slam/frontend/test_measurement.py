@@ -9,7 +9,7 @@ import pytest
 from benchmarks.corpus.drives.sensing import camera_beams
 from slam.config import SlamConfig
 from slam.frontend.measurement import for_points, planes_of_cloud, usable_points, usable_ranges
-from slam.frontend.scan_regions import Regions, ScanPart, believed_plane, believed_planes
+from slam.frontend.scan_regions import Regions, ScanPart, believed_plane, believed_planes, relabelled
 from slam.geometry.frames import inverse
 from slam.sensors.log import CloudScan
 from slam.sensors.rig import Sensor
@@ -84,8 +84,8 @@ def test_a_floor_with_a_foot_on_it_is_the_floor_without_the_foot():
         if believed is None:
             lost += 1
             continue
-        assert np.isin(np.flatnonzero(foot), believed.strayed).all()
-        assert believed.plane.n_points == len(points) - len(believed.strayed)
+        assert not np.isin(np.flatnonzero(foot), believed.part.members).any()
+        assert believed.plane.n_points == len(believed.part.members)
         chi2.append(believed.plane.mahalanobis(TRUTH))
     assert lost <= 4
     assert_mean_in_band(np.array(chi2), 3)
@@ -223,7 +223,7 @@ def test_the_planes_of_a_grid_are_those_of_their_points_alone_and_a_line_is_none
     assert found[1] == []
     for k in (0, 2):
         alone, (measured,) = fit_plane(points[labels == k], noise[labels == k], viewpoint=FAR_ABOVE), found[k]
-        assert len(measured.strayed) == 0
+        assert len(measured.part.members) == np.count_nonzero(labels == k)
         np.testing.assert_array_equal(measured.plane.frame, alone.frame)
         np.testing.assert_array_equal(measured.plane.covariance, alone.covariance)
 
@@ -273,10 +273,12 @@ def test_what_runs_round_a_blunt_corner_is_the_walls_on_either_side(corner_deg: 
         height = slope * np.maximum(places[:, 0], 0.0) + SIGMA * rng.standard_normal(900)
         points = np.column_stack((places, height)) @ turn.T
         labels = np.zeros(grid, dtype=np.int64)
-        (sides,) = believed_planes(regions_of(points.reshape(*grid, 3), labels, np.eye(4)[None]))
+        regions = regions_of(points.reshape(*grid, 3), labels, np.eye(4)[None])
+        (sides,) = believed_planes(regions)
         if len(sides) < 2:  # most others are steeper to the eye, and no plane
             continue
-        assert sum(len(one.part.points) for one in sides) + len(sides[0].strayed) == 900
+        numbers, of = np.unique(relabelled(regions, labels, [sides])[0], return_counts=True)
+        assert numbers.tolist() == [-1, 0, 1] and of[1:].tolist() == [len(one.part.points) for one in sides]
         fit = fit_plane(points, sigma=SIGMA, viewpoint=FAR_ABOVE, shared_error=False)
         whole.append(min(fit.mahalanobis(one) for one in walls))
         nees += [min(one.plane.mahalanobis(other) for other in walls) for one in sides]
