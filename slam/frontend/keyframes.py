@@ -17,7 +17,7 @@ from slam.errors import LogError
 from slam.frontend.deskewing import unswept
 from slam.frontend.laser_odometry.stalled_wheels import Stall, over_stalls, stalls_of
 from slam.frontend.laser_odometry.track import LaserTrack, motion_between
-from slam.frontend.laser_odometry.tracker import is_level, laser_track
+from slam.frontend.laser_odometry.tracker import laser_track
 from slam.frontend.measurement import (
     ScanMeasurement,
     Segment,
@@ -246,8 +246,7 @@ def track_of(log: Log, rig: Rig, config: SlamConfig) -> OdometryTrack:
     known = _TRACKS.get(log)
     if known is not None and known[0] is rig and known[1] is config:
         return known[2]
-    level = any(is_level(rig.sensors[scan.sensor]) for scan in _scans_of(log, rig, "line"))
-    track = laser_track(log, rig, config.coasting) if level else _track_of(log, rig)
+    track = laser_track(log, rig, config.coasting) or _track_of(log, rig)
     _TRACKS[log] = (rig, config, track)
     return track
 

@@ -266,10 +266,9 @@ def for_sensor(config: MapperConfig, sensor: Sensor) -> MapperConfig:
     Half of it: inside a region, which is fitted to the error, less of it is left than between regions. A servo's error
     goes into the segmentation as that of the lines' poses, alike in half of what errs as one block.
     """
-    flatness = max(config.flatness_m, 0.5 * sensor.surface_sigma_m)
-    if sensor.tilt_sigma_rad == 0.0:
-        return replace(config, flatness_m=flatness)
-    return replace(config, flatness_m=flatness, pose_correlation_scans=0.5 * sensor.tilt_correlation_lines)
+    config = replace(config, flatness_m=max(config.flatness_m, 0.5 * sensor.surface_sigma_m))
+    tilts = sensor.tilt_sigma_rad > 0.0
+    return replace(config, pose_correlation_scans=0.5 * sensor.tilt_correlation_lines) if tilts else config
 
 
 def for_points(config: MapperConfig, points: FloatArray) -> MapperConfig:

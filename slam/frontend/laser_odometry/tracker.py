@@ -26,7 +26,7 @@ from slam.frontend.odometry import Motion, OdometryTrack, difference, planar_del
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, planar_transform
 from slam.sensors.log import LaserScan, Log
-from slam.sensors.rig import Rig, Sensor
+from slam.sensors.rig import Rig
 from slam.sensors.wheel_noise import OdometryNoise
 from spplanes._check import FloatArray
 
@@ -195,10 +195,16 @@ class LaserOdometry:
         self._scale.learn(error, random, posterior, known)
 
 
-def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
-    """Laser odometry over all scans of the level lasers of a log; what moves within a scan is told by the wheels."""
-    sensors = {name: sensor for name, sensor in rig.of_kind("line").items() if is_level(sensor)}
+def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack | None:
+    """Laser odometry over all scans of the lasers of a log that look along the floor, upside down or not; None: none.
+
+    What moves within a scan is told by the wheels.
+    """
+    lasers = rig.of_kind("line").items()
+    sensors = {name: sensor for name, sensor in lasers if abs(sensor.body_T_sensor[2, 2]) >= LEVEL_COSINE}
     scans = [one for one in log.scans() if isinstance(one, LaserScan) and one.sensor in sensors]
+    if not scans:
+        return None
     readings = log.measured_motion
     track = OdometryTrack(readings, rig.odometry) if readings else None
     wheels = None if track is None else track.poses_at([scan.stamp_ns for scan in scans])
@@ -216,8 +222,3 @@ def laser_track(log: Log, rig: Rig, coasting: CoastingConfig) -> LaserTrack:
         odometry.add(scan.stamp_ns, Surface.of(at_once, sensor), delta)
         last = index
     return LaserTrack(odometry.steps, rig.odometry, between_scans(odometry.steps, track))
-
-
-def is_level(sensor: Sensor) -> bool:
-    """Whether a sensor is a 2D laser that looks along the floor, upside down or not."""
-    return sensor.kind == "line" and bool(abs(sensor.body_T_sensor[2, 2]) >= LEVEL_COSINE)
