@@ -11,8 +11,8 @@ from slam.frontend.odometry import OdometryTrack
 from slam.geometry.frames import inverse
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
+from slam.sensors.scan_noise import model_of
 from spplanes._check import FloatArray
-from spplanes.noise import SensorModel
 from spplanes.registration import RegisteredScans
 
 
@@ -39,12 +39,7 @@ def unswept(scan: LaserScan, sensor: Sensor, track: OdometryTrack) -> LaserScan:
 
 
 def place_beams(
-    placed: RegisteredScans,
-    scans: Sequence[LaserScan],
-    kf_T_body: FloatArray,
-    sensor: Sensor,
-    track: OdometryTrack,
-    model: SensorModel,
+    placed: RegisteredScans, scans: Sequence[LaserScan], kf_T_body: FloatArray, sensor: Sensor, track: OdometryTrack
 ) -> RegisteredScans:
     """Registered scans (S, B, 3) with every beam where it was.
 
@@ -57,7 +52,7 @@ def place_beams(
         moved = kf_T_body[s] @ _since(middle_ns(scan, sensor), scan, sensor, track) @ inverse(kf_T_body[s])
         points[s] = _apply(moved, placed.points[s])
         viewpoints[s] = _apply(moved, np.broadcast_to(placed.viewpoints[s], points[s].shape))
-    return replace(placed, points=points, covariances=model.covariances(points, viewpoints))
+    return replace(placed, points=points, covariances=model_of(sensor).covariances(points, viewpoints))
 
 
 def _since(stamp_ns: int, scan: LaserScan, sensor: Sensor, track: OdometryTrack) -> FloatArray:

@@ -145,9 +145,8 @@ class _Lasers:
         for sensor, window in self._scans_at(index, "slice"):
             scans += window
             with _noted(stamp, config, notes):
-                observations += planes_of_window(
-                    window, stamp, sensor, self._track, config, self._segment, sweeps=self._within
-                )
+                tracks = self._track, self._within
+                observations += planes_of_window(window, stamp, sensor, *tracks, config, self._segment)
         for sensor, near in self._scans_at(index, "line"):
             scan = min(near, key=lambda one: abs(one.stamp_ns - stamp))
             scans.append(scan)

@@ -190,24 +190,22 @@ def planes_of_window(
     stamp_ns: int,
     sensor: Sensor,
     track: OdometryTrack,
+    sweeps: OdometryTrack,
     config: SlamConfig,
-    segment: Segment = label_scans,
-    *,
-    sweeps: OdometryTrack | None = None,
+    segment: Segment,
 ) -> list[PlaneObservation]:
     """Planes of a push-broom window in the body frame at `stamp_ns`.
 
     The scans are placed by odometry. Its error inside the window is shared by all points of a scan and grows along the
     window, so it goes into the fit as one joint covariance of the scan poses, never into the points' own. A scan that
-    takes time has each beam where the body was at its moment, by `sweeps` or the same track; it errs with the pose of
-    its middle.
+    takes time has each beam where the body was at its moment by `sweeps`; it errs with the pose of its middle.
     """
     if len(scans) < 2:
         return []
     kf_T_body, pose_covariance = window_poses([middle_ns(scan, sensor) for scan in scans], stamp_ns, track)
-    ranges, model = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans]), model_of(sensor)
-    placed = register_scans(ranges, scans[0].angles, kf_T_body, model, body_T_sensor=sensor.body_T_sensor)
-    placed = place_beams(placed, scans, kf_T_body, sensor, sweeps or track, model)
+    ranges, mount = np.stack([usable_ranges(scan.ranges, sensor) for scan in scans]), sensor.body_T_sensor
+    placed = register_scans(ranges, scans[0].angles, kf_T_body, model_of(sensor), body_T_sensor=mount)
+    placed = place_beams(placed, scans, kf_T_body, sensor, sweeps)
     mapper = for_sensor(config.mapper, sensor)
     found = segment(placed.points, placed.covariances, config=mapper, viewpoints=placed.viewpoints)
     labels = found.labels.astype(np.int32)
