@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 import shapely
 from shapely import LineString, Point, box
+from shapely.geometry.base import BaseGeometry
 
 from slam.geometry.polygons import coarse
 from spplanes.outlines.extents import _AT_ONCE, Extent, all_valid, grow, grow_all
 
 
-def scattered(seed: int, count: int = 60) -> list[shapely.Polygon]:
+def scattered(seed: int, count: int = 60) -> list[BaseGeometry]:
     rng = np.random.default_rng(seed)
     low = rng.uniform(-9.0, 9.0, (count, 2))
     return [box(*corner, *(corner + size)) for corner, size in zip(low, rng.uniform(0.2, 3.0, (count, 2)), strict=True)]
 
 
-def grown(patches: list[shapely.Polygon]) -> Extent:
+def grown(patches: list[BaseGeometry]) -> Extent:
     extent = Extent(patches[0])
     for patch in patches[1:]:
         extent.grow(patch)
@@ -55,15 +56,13 @@ def test_near_is_what_is_near_the_union():
 
 
 def test_lines_of_one_wall_stay_one_segment():
-    extent = Extent(LineString([(0.0, 0.0), (1.0, 0.0)]))
-    extent.grow(LineString([(3.0, 0.01), (8.0, 0.0)]))
+    extent = grown([LineString([(0.0, 0.0), (1.0, 0.0)]), LineString([(3.0, 0.01), (8.0, 0.0)])])
     assert extent.geometry.geom_type == "LineString"
     np.testing.assert_allclose(extent.geometry.length, 8.0, atol=1e-3)
 
 
 def test_a_line_and_a_patch_are_kept_both():
-    extent = Extent(LineString([(0.0, 0.5), (7.0, 0.5)]))
-    extent.grow(box(1.0, 0.0, 3.0, 1.0))
+    extent = grown([LineString([(0.0, 0.5), (7.0, 0.5)]), box(1.0, 0.0, 3.0, 1.0)])
     assert abs(sum(part.area for part in shapely.get_parts(extent.geometry)) - 2.0) < 1e-9
     assert extent.is_within(0.1, Point(6.5, 0.5))
     np.testing.assert_allclose(extent.bounds, (0.0, 0.0, 7.0, 1.0))
@@ -80,9 +79,7 @@ def test_the_distance_of_a_patch_is_that_of_the_whole_up_to_a_bound():
 
 
 def test_what_was_seen_before_changes_nothing():
-    extent = Extent(box(0.0, 0.0, 9.0, 9.0))
-    for _ in range(_AT_ONCE - 1):
-        extent.grow(box(1.0, 1.0, 7.5, 8.0))
+    extent = grown([box(0.0, 0.0, 9.0, 9.0), *(_AT_ONCE - 1) * [box(1.0, 1.0, 7.5, 8.0)]])
     before = extent.pieces
     for _ in range(_AT_ONCE):
         extent.grow(box(1.0, 1.0, 7.5, 8.0))
