@@ -128,8 +128,11 @@ def moments_about(seeds, points, reaches, least):
 
 
 @njit(cache=True)
-def jumps(points, ranges, labels, steps, inset, rules):
+def jumps(points, ranges, labels, steps, inset):
     """Where ranges jump away along the lines of a grid: the next return is so much farther that nothing joins the two.
+
+    That is by 0.1 m and 4 % of the range, and by four times the step of the surface before. Over 0.08 rad at most there
+    is no return between the two sides of an edge: what casts a shadow hides it.
 
     Args:
         points: of the grid, flat, shape (N, 3).
@@ -137,8 +140,6 @@ def jumps(points, ranges, labels, steps, inset, rules):
         labels: planes of the points, shape (N,); an edge within one plane is none.
         steps: (lines, beams, from line to line, from beam to beam, first): where the points of a line are.
         inset: edges are taken so many beams inside; none: in the middle of the last beam on the near side and the next.
-        rules: what is behind is farther by this, m, by this share of the range, and by so many times the step before;
-            least cosine between the two sides.
 
     Returns:
         shape (K, 3).
@@ -158,8 +159,10 @@ def jumps(points, ranges, labels, steps, inset, rules):
             if labels[here] >= 0 and labels[here] == labels[there]:
                 continue
             r, far = ranges[here], ranges[there]
-            away = _is_away(r, far, ranges[before], reach, beam - last, rules)
-            if not (away and _cosine(points[here], points[there], r, far) > rules[3]):
+            change = abs(r - ranges[before])  # how its surface goes on; NaN: nothing tells
+            if not (change < 0.05 + 0.04 * r and far - r > max(0.1 + 0.04 * r, 4.0 * (change / reach) * (beam - last))):
+                continue
+            if not _cosine(points[here], points[there], r, far) > 0.9968017063026194:  # of 0.08 rad
                 continue
             if inset == 0 and beam == last + 1:
                 _between(points[here], points[there], r, far, found[count])
@@ -168,19 +171,6 @@ def jumps(points, ranges, labels, steps, inset, rules):
                     found[count, a] = points[start + (last - inset) * beam_step, a]
             count += 1
     return found[:count]
-
-
-@inlined
-def _is_away(near_m, far_m, inner_m, reach, apart, rules):
-    """Whether a range, so many beams apart, is so far behind the near one that no surface joins the two; see `jumps`.
-
-    What is `reach` beams before the near one tells how its surface goes on; NaN: nothing does.
-    """
-    behind_m, behind_share, behind_steps, _ = rules
-    change = abs(near_m - inner_m)
-    if not change < 0.5 * behind_m + behind_share * near_m:
-        return False
-    return far_m - near_m > max(behind_m + behind_share * near_m, behind_steps * (change / reach) * apart)
 
 
 @inlined

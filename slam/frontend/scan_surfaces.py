@@ -186,9 +186,7 @@ def _edge_points(points: FloatArray, labels: np.ndarray, inset: int) -> FloatArr
         (columns, rows, 1, columns, 0),
         (columns, rows, 1, -columns, (rows - 1) * columns),
     )
-    # over 0.08 rad at most there is no return between the two sides of an edge: what casts a shadow hides it
-    rules = 0.1, 0.04, 4.0, float(np.cos(0.08))
-    found = np.concatenate([jumps(flat, ranges, numbers, way, inset, rules) for way in ways])
+    found = np.concatenate([jumps(flat, ranges, numbers, way, inset) for way in ways])
     found = found[np.lexsort(found.T[::-1])]
     return found[np.append(True, (np.diff(found, axis=0) != 0.0).any(axis=1))[: len(found)]]
 

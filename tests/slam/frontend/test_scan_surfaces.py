@@ -55,9 +55,6 @@ def test_elements_are_as_wide_as_beams_are_apart() -> None:
         assert 0.7 < covered.sum() / np.ptp(points.reshape(-1, 3), axis=0)[1:].prod() < 4.5
 
 
-RULES = 0.1, 0.04, 4.0, float(np.cos(0.08))
-
-
 def test_a_jump_lies_between_the_last_beam_on_the_near_side_and_the_next() -> None:
     angles, near = np.linspace(-0.1, 0.1, 21), np.arange(21) < 10
     ranges, rays = np.where(near, 2.0, 5.0), np.column_stack((np.cos(angles), np.sin(angles), np.zeros(21)))
@@ -65,11 +62,11 @@ def test_a_jump_lies_between_the_last_beam_on_the_near_side_and_the_next() -> No
     edge = 0.5 * (angles[9] + angles[10])
     middle = 2.0 * np.array([np.cos(edge), np.sin(edge), 0.0])
     forth, back = (1, 21, 21, 1, 0), (1, 21, 21, -1, 20)
-    np.testing.assert_allclose(jumps(points, ranges, none, forth, 0, RULES), [middle], atol=1e-12)
-    assert not len(jumps(points, ranges, none, back, 0, RULES))  # from there it comes nearer
-    np.testing.assert_array_equal(jumps(points, ranges, none, forth, 2, RULES), points[7:8])
-    assert not len(jumps(points, ranges, np.zeros(21, dtype=np.int64), forth, 0, RULES))  # one plane, seen at a slant
+    np.testing.assert_allclose(jumps(points, ranges, none, forth, 0), [middle], atol=1e-12)
+    assert not len(jumps(points, ranges, none, back, 0))  # from there it comes nearer
+    np.testing.assert_array_equal(jumps(points, ranges, none, forth, 2), points[7:8])
+    assert not len(jumps(points, ranges, np.zeros(21, dtype=np.int64), forth, 0))  # one plane, seen at a slant
     ranges[9] = np.nan
-    np.testing.assert_array_equal(jumps(points, ranges, none, forth, 0, RULES), points[8:9])  # the edge may be anywhere
+    np.testing.assert_array_equal(jumps(points, ranges, none, forth, 0), points[8:9])  # the edge may be anywhere
     ranges[1:10] = np.nan
-    assert not len(jumps(points, ranges, none, forth, 0, RULES))  # beyond 0.08 rad nobody knows
+    assert not len(jumps(points, ranges, none, forth, 0))  # beyond 0.08 rad nobody knows
