@@ -51,7 +51,7 @@ def _turned(rows, i, c, s):
 
 
 @njit(cache=True)
-def align(pose, scan, there, expected, information, rounds, first_m):
+def align(pose, scan, there, expected, information):
     """Gauss-Newton on robust point-to-line distances and a normal prior about `expected` (x, y, theta).
 
     Args:
@@ -59,8 +59,6 @@ def align(pose, scan, there, expected, information, rounds, first_m):
         scan: its `Surface`.
         there: `Cells` of the map.
         expected, information: the prior, shapes (3,) and (3, 3).
-        rounds: at most.
-        first_m: returns so far off count in the first round, in each next one half as far.
 
     Returns:
         pose (3,); information (3, 3) of the returns alone, in the map's axes, and what errs of it; distance at which
@@ -68,8 +66,8 @@ def align(pose, scan, there, expected, information, rounds, first_m):
         bounded for each, beyond what it is expected to be.
     """
     pose, told, pull = pose.copy(), np.zeros((3, 3)), np.zeros(3)
-    for step in range(rounds):
-        _write_told(pose, scan, there, max(first_m * 0.5**step, 0.0), told, pull)
+    for step in range(15):
+        _write_told(pose, scan, there, 0.24 * 0.5**step, told, pull)  # what is far off counts less in each round
         for a in range(3):
             for b in range(3):
                 pull[a] += information[a, b] * (expected[b] - pose[b])

@@ -17,8 +17,6 @@ from slam.frontend.occupancy.raster import CELL_M as RASTER_CELL_M
 from slam.frontend.odometry import difference
 from spplanes._check import FloatArray
 
-#: Returns off by less than this are found without a search, m.
-_BASIN_M = 0.12
 #: The search reaches so many standard deviations.
 _SIGMAS = 4.0
 #: Places nearer than this are one, m and rad.
@@ -89,9 +87,9 @@ def _is_doubtful(found: Match, surface: Surface, expected: Expected, usual_fit: 
     if _fits_worse(found, surface, usual_fit):
         return True
     sigmas, error = np.sqrt(np.diag(expected.covariance)), found.pose - expected.pose
-    if _SIGMAS * max(float(sigmas[:2].max()), float(sigmas[2]) * far) > 2.0 * _BASIN_M:
-        return True
-    return float(error @ np.linalg.solve(expected.covariance, error)) > 16.3  # 1e-3 for three degrees of freedom
+    off_m = _SIGMAS * max(float(sigmas[:2].max()), float(sigmas[2]) * far)
+    # an alignment begins with what is so far off; the second is 1e-3 for three degrees of freedom
+    return off_m > 0.24 or float(error @ np.linalg.solve(expected.covariance, error)) > 16.3
 
 
 def _fits_worse(found: Match, surface: Surface, usual_fit: float) -> bool:
@@ -102,7 +100,7 @@ def _fits_worse(found: Match, surface: Surface, usual_fit: float) -> bool:
 
 def _aligned(surface: Surface, there: LocalMap, start: FloatArray, ways: Sequence[Expected], way: int) -> Match:
     prior = ways[way].pose, inverted(ways[way].covariance)
-    pose, told, erring, far, fit, misfit = align(start, surface, there.cells, *prior, 15, 2.0 * _BASIN_M)
+    pose, told, erring, far, fit, misfit = align(start, surface, there.cells, *prior)
     # less what errs of it, not below none; a turn counts by its arc at `far`
     scale = np.outer((1.0, 1.0, far), (1.0, 1.0, far))
     return Match(pose, positive((told - erring) / scale) * scale, fit, misfit, way)
