@@ -147,8 +147,6 @@ def _on_edges(points: FloatArray, labels: np.ndarray, width: float) -> FloatArra
     # so far inside, rad, in whole beams, returns are of the near side alone: a camera's pixels blur two sides into one
     inset = round(0.004 / width) if width > 0.0 else 0
     found = _edge_points(points, labels, inset)
-    if len(found) < _LEAST:
-        return np.empty((0, WIDTH))
     seeds = _Cells.of(found, np.zeros(len(found), dtype=np.int64), 0.5 * _SHARE).mean
     mean, scatter = moments_about(seeds, found, 0.05 * np.linalg.norm(seeds, axis=1), _LEAST)
     values, vectors = np.linalg.eigh(scatter)
