@@ -57,10 +57,8 @@ class ScanPart:
     def __init__(self, of: Regions, members: np.ndarray, frame: FloatArray) -> None:
         """Those with indices `members`, (N,), into the flat grid, about a plane of frame (4, 4)."""
         self.of, self.members, self._frame = of, members, frame
-        self.points, noise = (
-            of.points.reshape(-1, 3).take(members, 0),
-            of.covariances.reshape(-1, 3, 3).take(members, 0),
-        )
+        self.points = of.points.reshape(-1, 3).take(members, 0)
+        noise = of.covariances.reshape(-1, 3, 3).take(members, 0)
         self.noise = surface_covariances(self.points, noise, frame, of.sensor)
         self.blurred = servo_covariances(self.points, self.noise, members // of.labels.shape[1], of.sensor)
 
