@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from shapely import LineString, box
 from shapely.affinity import rotate, translate
@@ -106,8 +107,10 @@ def _desk(rng: np.random.Generator) -> PolygonWorld:
     builder = PolygonBuilder()
     add_shell(builder, box(-half_x, -half_y, half_x, half_y), Roof.flat(rng.uniform(2.5, 3.0)))
 
-    def slab(x: float, y: float, turn: float, width: float, depth: float, foot: float, height: float) -> None:
-        outline = translate(rotate(box(-width / 2, -depth / 2, width / 2, depth / 2), turn, use_radians=True), x, y)
+    def slab(spot: ArrayLike, turn: float, width: float, depth: float, foot: float, height: float) -> None:
+        outline = translate(
+            rotate(box(-width / 2, -depth / 2, width / 2, depth / 2), turn, use_radians=True), *np.asarray(spot)
+        )
         add_box(builder, outline, foot + height, foot + height, foot=foot)
 
     for turn, middle in ((rng.uniform(-0.2, 0.2), 0.0), (rng.uniform(3.1, 3.2), 0.85)):
@@ -116,23 +119,23 @@ def _desk(rng: np.random.Generator) -> PolygonWorld:
         def spot(along: float, across: float, axes: FloatArray = axes, y: float = middle) -> FloatArray:
             return np.array([along, across]) @ axes + (0.0, y)
 
-        slab(0.0, middle, turn, 1.6, 0.8, 0.71, _DESK_M - 0.71)
+        slab((0.0, middle), turn, 1.6, 0.8, 0.71, _DESK_M - 0.71)
         for leg in (-0.75, 0.75):
-            slab(*spot(leg, 0.0), turn, 0.05, 0.7, 0.0, 0.7)
+            slab(spot(leg, 0.0), turn, 0.05, 0.7, 0.0, 0.7)
         for along in rng.uniform(-0.55, 0.55, rng.integers(1, 3)):  # screens
             foot = spot(along, 0.22)
             builder.add_bar((*foot, _DESK_M), (*foot, 0.9), 0.04)
-            slab(*foot, turn + rng.normal(0.0, 0.3), rng.uniform(0.4, 0.55), 0.04, 0.88, 0.34)
+            slab(foot, turn + rng.normal(0.0, 0.3), rng.uniform(0.4, 0.55), 0.04, 0.88, 0.34)
         for along in rng.uniform(-0.7, 0.7, rng.integers(6, 12)):  # cups, rolls, boxes
             foot, size = spot(along, rng.uniform(-0.35, 0.3)), rng.uniform(0.03, 0.12, 3)
             if rng.random() < 0.5:
                 builder.add_bar((*foot, _DESK_M), (*foot, _DESK_M + 2.0 * size[2]), size[0])
             else:
-                slab(*foot, rng.uniform(0.0, 3.0), 2.0 * size[0], 2.0 * size[1], _DESK_M, 2.0 * size[2])
+                slab(foot, rng.uniform(0.0, 3.0), 2.0 * size[0], 2.0 * size[1], _DESK_M, 2.0 * size[2])
     for x, y, turn in zip(rng.uniform(-1.8, 1.8, 4), (-0.8, -1.8, 1.8, 1.9), rng.uniform(0.0, 6.3, 4), strict=True):
         builder.add_bar((x, y, 0.1), (x, y, 0.45), 0.03)
-        slab(x, y, turn, 0.45, 0.45, 0.45, 0.06)
-        slab(x - 0.22 * np.cos(turn), y - 0.22 * np.sin(turn), turn, 0.05, 0.42, 0.55, 0.5)
+        slab((x, y), turn, 0.45, 0.45, 0.45, 0.06)
+        slab((x - 0.22 * np.cos(turn), y - 0.22 * np.sin(turn)), turn, 0.05, 0.42, 0.55, 0.5)
     for leaf in rng.normal((half_x - 0.5, half_y - 0.5, 1.1), (0.15, 0.15, 0.3), (25, 3)):
         builder.add_bar(leaf, leaf + rng.normal(0.0, 0.06, 3), rng.uniform(0.02, 0.05))
     return builder.build()

@@ -156,10 +156,10 @@ class Elimination(ABC):
         """
         if INDETERMINATE not in str(failure):
             raise BackendError(first_line(failure)) from failure
-        factors, twin = self._isam.getFactorsUnsafe(), self._empty("QR")
-        values = self._isam.getLinearizationPoint().extract(factors.keyVector())  # not of what leaves with its factors
+        factors, linearised = self._isam.getFactorsUnsafe(), self._isam.getLinearizationPoint()
+        twin = self._empty("QR")
         try:
-            twin.update(factors, values)
+            twin.update(factors, linearised.extract(factors.keyVector()))  # without what leaves with its last factor
         except RuntimeError as error:
             raise BackendError(first_line(error)) from error
         return twin

@@ -18,7 +18,7 @@ from spplanes.fitting._point_checks import LARGEST_VARIANCE, SMALLEST_VARIANCE, 
 from spplanes.fitting._pose_error import shared_by_scan
 from spplanes.fitting._robust import CUTOFF, FRACTIONS, robust_group
 from spplanes.fitting._shared_pose import SharedPose, fit_shared_pose, sp_pose_term
-from spplanes.fitting._sums import N_SUMS, start_row
+from spplanes.fitting._sums import CHI2, N_SUMS, USED, start_row
 from spplanes.plane import Plane
 
 Method = Literal["ml", "sp"]
@@ -154,7 +154,7 @@ def _run(how, inputs, fractions, fits, groups):
             else:
                 status[g] = kernels.ml_group(group, viewpoint, frame, covariance, sums)
             if status[g] == OK:
-                counts[g], chi2[g] = int(sums[18]), sums[19]
+                counts[g], chi2[g] = int(sums[USED]), sums[CHI2]
 
 
 def _fit_with_poses(job: FitJob, fits: Fits, g: int) -> None:

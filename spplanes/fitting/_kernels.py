@@ -27,7 +27,7 @@ from spplanes._rows import (
     times,
     write_frame,
 )
-from spplanes.fitting._sums import accumulate, sp_covariance, start_row
+from spplanes.fitting._sums import USED, accumulate, sp_covariance, start_row
 
 #: Noise along the plane explains at most this share of the patch's extent; beyond, the slope is unknown anyway.
 MAX_NOISE_SHARE = 0.9
@@ -100,7 +100,7 @@ def descend(group, cutoff2, gain, frame, sums) -> int:
             step = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]
             move_frame(base, step, frame)
             continue
-        if sums[18] < 3.0:
+        if sums[USED] < 3.0:
             return TOO_FEW
         if not invert3(sums[4:10], inverse):
             return COLLINEAR
@@ -122,7 +122,7 @@ def noise_share(sums) -> float:
     sxy = sums[8] - sums[5] * sums[6] / sums[4]
     syy = sums[9] - sums[6] * sums[6] / sums[4]
     det = sxx * syy - sxy * sxy
-    whole = 1.0 - 1.0 / sums[18]
+    whole = 1.0 - 1.0 / sums[USED]
     if det <= 0.0:
         return 0.0
     half = 0.5 * (syy * sums[15] - 2.0 * sxy * sums[16] + sxx * sums[17]) / det

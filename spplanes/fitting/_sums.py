@@ -15,9 +15,9 @@ from spplanes._rows import add_square, column, dot, in_frame, times
 #: The variance along the normal is at least this share of the trace: noise along a beam cannot vanish across a plane
 #: that the beam meets at less than 1 mrad, the divergence of a laser beam.
 FLOOR = 1e-6
-#: Length of the sums: cost; gradient (3); from 4 on information (6); from 10 on raw sums of w times x, y, xx, xy, yy;
-#: from 15 on noise along the plane (3); 18, number of points used; 19, chi2.
-N_SUMS = 20
+#: Layout of the sums: cost; gradient (3); from 4 on information (6); from 10 on raw sums of w times x, y, xx, xy, yy;
+#: from 15 on noise along the plane (3); number of points used; chi2; so many numbers.
+USED, CHI2, N_SUMS = 18, 19, 20
 
 
 @njit(cache=True)
