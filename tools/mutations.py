@@ -54,6 +54,11 @@ slam/frontend/laser_odometry/velocity.py  tests/slam/frontend/test_velocity.py
 -(moved - expected[0]) / np.maximum(gain, _TOLD)
 +0.1 * (moved - expected[0])
 
+verdict: what may start no landmark is missed where it is never seen again
+slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_look.py
+-again or may_start(one, run.config.landmarks)
++True
+
 verdict: matched scans measure a motion
 slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_coverage.py
 -return motion.is_measured
@@ -228,8 +233,8 @@ tests/slam/tracking/test_calibration_by_graph.py::test_poses_far_from_what_was_s
 
 back end: what Cholesky cannot eliminate is tried by Cholesky again
 slam/backend/elimination.py  tests/slam/backend/test_estimator.py
--self._isam.getFactorsUnsafe(), self._empty("QR")
-+self._isam.getFactorsUnsafe(), self._empty("CHOLESKY")
+-twin = self._empty("QR")
++twin = self._empty("CHOLESKY")
 
 prior map: its planes as if they were independent
 slam/session/prior_map.py
