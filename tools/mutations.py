@@ -59,6 +59,11 @@ slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_look
 -again or may_start(one, run.config.landmarks)
 +True
 
+verdict: what is confirmed may be seen through as well
+slam/diagnostics/views.py  tests/slam/diagnostics/test_views.py
+-(view.sees_through(places) & ~confirmed)
++(view.sees_through(places))
+
 verdict: matched scans measure a motion
 slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_coverage.py
 -return motion.is_measured

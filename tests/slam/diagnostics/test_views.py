@@ -8,7 +8,7 @@ import pytest
 
 from slam.diagnostics.evidence.mounts import mount_evidence
 from slam.diagnostics.evidence.surfaces import free_space_evidence
-from slam.diagnostics.views import ScanView, View, compare, pairs_of, views_of
+from slam.diagnostics.views import ScanView, View, compare, held_against, pairs_of, views_of
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE
@@ -57,6 +57,15 @@ def test_a_view_confirms_what_it_saw_and_says_nothing_of_what_is_hidden():
     assert here.confirms(at_wall).all() and not here.sees_through(at_wall).any()
     assert here.sees_through(in_front).all() and not here.confirms(in_front).any()
     assert not here.sees_through(behind).any() and not here.confirms(behind).any()
+
+
+def test_a_place_beside_the_corner_of_something_is_confirmed_and_not_seen_through():
+    """Beams pass close by it: to the tolerance it is the corner."""
+    angles = np.deg2rad(np.arange(-20.0, 20.5, 0.5))
+    ends = np.where(angles < 0.0, 2.0, 6.0)[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
+    here, beside = View.of(np.hstack((np.zeros_like(ends), ends))), np.array([[2.0, 0.05]])
+    assert here.confirms(beside).all() and here.sees_through(beside).all()
+    assert held_against(here, beside) == (1, 0)
 
 
 def test_right_poses_are_no_evidence_and_a_jump_in_them_is():
