@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import re
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
@@ -40,8 +41,9 @@ def check_room(path: Path, what: str, needed: int, room: int) -> None:
 
 
 def in_short(error: BaseException) -> str:
-    """What an error says, on one line."""
-    return getattr(error, "strerror", None) or " ".join(str(error).split())[:100] or type(error).__name__
+    """What an error says, on one line: the same of the same file, so no address of an object in it."""
+    said = re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(str(error).split()))
+    return getattr(error, "strerror", None) or said[:100] or type(error).__name__
 
 
 @contextmanager
