@@ -24,7 +24,8 @@ class RegionTable:
     def __init__(self, config: MapperConfig) -> None:
         self.config = config
         self.n_seen = 0
-        self._columns: dict[str, np.ndarray] = {
+        self.n_regions = 0
+        self._columns = {
             "parent": np.empty(0, dtype=np.int64),
             "axis": np.empty(0, dtype=np.int64),
             "bias": np.empty((0, 2)),
@@ -37,7 +38,7 @@ class RegionTable:
             "pose": np.empty((0, 4, 4)),
             "running": np.empty((0, 6, 4)),
         }
-        self.keys, self._n_distinct = [np.empty(0, dtype=np.int64)], 512
+        self.keys, self.n_keys, self._n_distinct = np.empty(1024, dtype=np.int64), 0, 512
         self.kept_labels: list[np.ndarray] = []
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -50,21 +51,24 @@ class RegionTable:
         """A table that may change without this one."""
         other = copy.copy(self)
         other._columns = {name: column.copy() for name, column in self._columns.items()}
-        other.keys, other.kept_labels = list(self.keys), list(self.kept_labels)
+        other.keys, other.kept_labels = self.keys.copy(), list(self.kept_labels)
         return other
 
     @property
     def memory_bytes(self) -> int:
         """Size of everything but kept labels."""
-        return sum(array.nbytes for array in (*self._columns.values(), *self.keys))
+        used = sum(column[: self.n_regions].nbytes for column in self._columns.values())
+        return used + 8 * self.n_keys
 
     def add(self, rows: FloatArray, bias: FloatArray, axes: np.ndarray) -> np.ndarray:
         """Add regions without points yet, known by the estimate (K, 11) of their moments; returns their numbers."""
-        new = len(self.parent) + np.arange(len(rows))
-        known = {"parent": new, "axis": axes, "bias": bias, "estimate": rows, "anchor": rows[:, 2:5]}
-        for name, column in self._columns.items():
-            more = known.get(name, np.zeros((len(rows), *column.shape[1:])))
-            self._columns[name] = np.concatenate((column, more))
+        first, last = self.n_regions, self.n_regions + len(rows)
+        if last > len(self._columns["parent"]):
+            self._columns = {name: _enlarged(column, 2 * last) for name, column in self._columns.items()}
+        new = np.arange(first, last)
+        self.parent[new], self.axis[new], self.bias[new] = new, axes, bias
+        self.estimate[new], self.anchor[new] = rows, rows[:, 2:5]
+        self.n_regions = last
         return new
 
     def roots(self, numbers: np.ndarray) -> np.ndarray:
@@ -93,23 +97,28 @@ class RegionTable:
 
     def draw(self, keys: np.ndarray) -> None:
         """Add cells to the outlines, as keys of `_raster`."""
-        self.keys.append(keys)
-        if sum(map(len, self.keys)) > 2 * self._n_distinct:  # cells that repeat go when enough may have gathered
-            self.keys = [distinct(np.concatenate(self.keys))]
-            self._n_distinct = max(len(self.keys[0]), 512)
+        if self.n_keys + len(keys) > len(self.keys):
+            self.keys = _enlarged(self.keys[: self.n_keys], 2 * (self.n_keys + len(keys)))
+        self.keys[self.n_keys : self.n_keys + len(keys)] = keys
+        self.n_keys += len(keys)
+        if self.n_keys > 2 * self._n_distinct:  # cells that repeat go when enough of them may have gathered
+            cells = distinct(self.keys[: self.n_keys])
+            self.keys[: len(cells)] = cells
+            self.n_keys = len(cells)
+            self._n_distinct = max(len(cells), 512)
 
     def kept(self) -> np.ndarray:
         """Numbers of the regions that are planes to report, ascending, shape (K,)."""
-        counts, is_root = self.fit[:, 0], self.parent == np.arange(len(self.parent))
-        large = np.flatnonzero(is_root & (counts > 0.0) & (counts >= self.config.min_points))
+        rows = self.fit[: self.n_regions]
+        large = np.flatnonzero((self.parent[: self.n_regions] == np.arange(self.n_regions)) & (rows[:, 0] > 0.0))
+        large = large[rows[large, 0] >= self.config.min_points]
         return np.array([r for r in large if is_determined(self.test[r], self.config)], dtype=np.int64)
 
     def labels(self, n_beams: int) -> np.ndarray:
         """Plane of every settled point, shape (S, B), int32."""
         if not self.kept_labels:
             return np.full((0, n_beams), -1, dtype=np.int32)
-        n_regions = len(self.parent)
-        of_region = renumbered(self.roots(np.arange(n_regions)), self.kept(), n_regions)
+        of_region = renumbered(self.roots(np.arange(self.n_regions)), self.kept(), self.n_regions)
         return np.append(of_region, -1).astype(np.int32)[np.concatenate(self.kept_labels)]
 
     def planes(self) -> list[Plane]:
@@ -133,8 +142,9 @@ class RegionTable:
 
     def _outlines(self, kept: np.ndarray, frames: FloatArray, spreads: FloatArray, rows: FloatArray) -> list:
         """Outline of every plane to report."""
-        drawn_for, cells = cells_of(distinct(np.concatenate(self.keys)))
-        owner = self.roots(drawn_for)
+        keys = distinct(self.keys[: self.n_keys])
+        drawn_for, cells = cells_of(keys)
+        owner = self.roots(drawn_for) if len(keys) else drawn_for
         order = np.argsort(owner, kind="stable")
         bounds = np.searchsorted(owner[order], kept), np.searchsorted(owner[order], kept, side="right")
         side = self.config.outline_cell_m
@@ -147,3 +157,10 @@ class RegionTable:
             half = np.sqrt(3.0 * spreads[k, 1:] / rows[k, 1])
             result.append(polygon or outline.outline_from_extent(*half))
         return result
+
+
+def _enlarged(column: np.ndarray, length: int) -> np.ndarray:
+    """The same column with room for more regions, zeros there."""
+    larger = np.zeros((length, *column.shape[1:]), dtype=column.dtype)
+    larger[: len(column)] = column
+    return larger

@@ -133,7 +133,7 @@ def settle(strip: Strip, table: RegionTable, n_scans: int, config: MapperConfig)
     labels = np.append(number, -1)[sheet.labels[part]]
     strip.labels[part] = labels
     drawn = slice(max(part.start - 1, 0), part.stop)
-    projections = along_axes(table.axis, config.outline_cell_m)
+    projections = along_axes(table.axis[: table.n_regions], config.outline_cell_m)
     table.draw(keys_of(*draw(strip.points[drawn], strip.labels[drawn], projections)))
     table.n_seen += int(strip.valid[part].sum())
     if config.keep_labels:
