@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from spplanes._jit import inner, njit
+from spplanes._rows import cross, dot, over
 from spplanes.spmodel import skew
 
 _Error = tuple[np.ndarray, np.ndarray]
@@ -35,22 +36,9 @@ def unit_basis(n):
 
 
 @inner(cache=True)
-def scaled_to_one(a):
-    """A (3,) vector, scaled in place to the length one."""
-    length = np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
-    for k in range(3):
-        a[k] /= length
-    return a
-
-
-@inner(cache=True)
-def cross(a, b):
-    """Cross product of two (3,) vectors."""
-    out = np.empty(3)
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-    return out
+def scaled_to_one(v):
+    """A vector, scaled to the length one."""
+    return over(v, np.sqrt(dot(v, v)))
 
 
 @njit(cache=True)
@@ -130,7 +118,7 @@ def two_point_information(points, sigma):
     """
     normal = cross(points[0], points[1])
     first, second = np.abs(points[0]).max(), np.abs(points[1]).max()
-    if np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2) < 1e-9 * max(first, second) ** 2:
+    if np.sqrt(dot(normal, normal)) < 1e-9 * max(first, second) ** 2:
         along = points[0] if first >= second else points[1]  # in line with the origin: any plane through that line
         axis = np.zeros(3)
         least = 0
@@ -138,7 +126,7 @@ def two_point_information(points, sigma):
             least = k if abs(along[k]) < abs(along[least]) else least
         axis[least] = 1.0
         normal = cross(along, axis)
-    scaled_to_one(normal)
+    normal = scaled_to_one(normal)
     basis = unit_basis(normal)
     root = np.zeros((3, 3))
     for i in range(2):

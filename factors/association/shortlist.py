@@ -90,7 +90,7 @@ class Gaps:
     estimate: Estimate
     joint: KeyedCovariance
     gates: AssociationGates
-    _known: dict[tuple[int, int], float] = field(default_factory=dict)
+    _known: dict[tuple[int, int], float] = field(default_factory=dict, init=False)
 
     def away(self, index: int, landmark: int) -> float:
         """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies.

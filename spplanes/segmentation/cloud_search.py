@@ -93,7 +93,9 @@ class CloudSearch:
             planes = hesse(moments_of(*found, labels[None], self.config))
             labels = _by_side(eyes, labels, planes, self.config.min_points)
         labels = _largest_first(labels)
-        planes = hesse(moments_of(*found, labels[None], self.config))
+        planes = np.empty((0, 4))
+        if self.sigma is None or not placed:
+            planes = hesse(moments_of(*found, labels[None], self.config))
         spread = self._fitting_variances(law, curve.points[None], planes, labels[None], eyes[None])
         cloud = curve.points[None], spread[..., None]
         n_planes = int(labels.max(initial=-1)) + 1
@@ -123,8 +125,9 @@ class CloudSearch:
             counted[here] = first[curve.number] == np.arange(len(curve.number))
             labels = _largest_first(found.labels, counted, self.config.min_points)
             once = np.where(counted, labels, -1)
-        planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
-        spread = self._fitting_variances(law, grid, planes, labels, np.zeros(3))
+        if self.sigma is None:
+            planes = hesse(moments_of(grid, spread[..., None], labels, self.config))
+            spread = self._fitting_variances(law, grid, planes, labels, np.zeros(3))
         eyes = np.zeros((int(labels.max(initial=-1)) + 1, 3))
         views, stated = np.zeros((len(grid), 1, 3)), self.sigma is not None
         fitted = fit_labelled(grid, spread[..., None], once, eyes, self.config, views=views, stated=stated)
