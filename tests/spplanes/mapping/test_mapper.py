@@ -283,3 +283,13 @@ def test_a_joined_region_keeps_the_noise_of_both():
     whole, noise = sums_of(points, covariances)
     np.testing.assert_allclose(table.fit[0], whole)
     np.testing.assert_allclose(table.noise[0], noise)
+
+
+def test_the_table_of_regions_is_not_copied_at_every_addition():
+    """However long a mission: room is made for twice as many regions, and seldom."""
+    table, columns = RegionTable(MapperConfig()), []
+    for _ in range(1000):
+        table.add(np.zeros((1, 11)), np.zeros((1, 2)), np.zeros(1, dtype=np.int64))
+        if not columns or columns[-1] is not table.estimate:
+            columns.append(table.estimate)
+    assert table.n_regions == 1000 and len(columns) < 12
