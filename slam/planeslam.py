@@ -29,6 +29,7 @@ from slam.mapping.map_observability import open_in_map
 from slam.mapping.map_update import LateMatch, MapUpdater
 from slam.mapping.observability import Observability, OpenStretch
 from slam.mapping.same_plane import SamePlaneFinder
+from slam.sensors.rig import Rig
 from slam.session.explanations import change_sentences, decision_sentence
 from slam.session.prior_map import PriorMap
 from slam.session.replay import Places, Recorder, open_slam
@@ -227,6 +228,13 @@ class PlaneSlam:
             self._merge_same_planes({older for older, _ in closure.pairs})
             self._closer.fix(closure)
 
+    def anew(self, prior: PriorMap | None) -> PlaneSlam:
+        """An estimator like this one before its first keyframe, recorded by nobody, in a prior map or in none."""
+        parts = {"segment": self.segment, "associate": self._associate, "loop_closer": self._loop_closer}
+        slam = type(self)(self.config, prior=prior, **parts)
+        slam.clock = slam.backend.clock = self.clock
+        return slam
+
     def remap(
         self, places: Places, prior: PriorMap | None, progress: Callable[[int, int], None] | None = None
     ) -> PlaneSlam:
@@ -239,9 +247,7 @@ class PlaneSlam:
             prior: the map to localise in, and where in it the first keyframe is.
             progress: is told how many keyframes are done, and how many there are.
         """
-        parts = {"segment": self.segment, "associate": self._associate, "loop_closer": self._loop_closer}
-        slam = type(self)(self.config, prior=prior, **parts)
-        slam.clock = slam.backend.clock = self.clock
+        slam = self.anew(prior)
         for index, keyframe in enumerate(self.keyframes):
             slam.add_keyframe(replace(keyframe, places=places[index]) if index in places else keyframe)
             if progress is not None:
@@ -252,6 +258,11 @@ class PlaneSlam:
         """From here on this is the run: what was recorded of the `first` is replaced by what this one decided."""
         start = None if self.prior is None else self.prior.world_T_start
         first.recorder.mended(places, start, self.decisions)
+        self.recorder = first.recorder
+
+    def supersede_measured(self, first: PlaneSlam, rig: Rig) -> None:
+        """From here on this is the run, of the same scans measured anew with a rig that says more of the sensors."""
+        first.recorder.measured_anew(rig, self.keyframes, self.decisions)
         self.recorder = first.recorder
 
     def optimize_batch(self) -> gtsam.Values:

@@ -20,7 +20,7 @@ _DISTURBED = tuple(name for name in DISTURBANCES if name != "none")
 _MORE_WHEELS = (
     "loop/level/worse3 loop/level/biased bare/lidar16/absent bare/lidar16/worse3 bare/paper/worse3"
     " irregular/level/absent office/paper/absent loop/level/absent hall/depth/absent cluttered/lidar32/absent"
-    " symmetric/lidar16/absent ramp/lidar16/absent"
+    " symmetric/lidar16/absent ramp/lidar16/absent irregular/turning16/absent office/turning32/absent"
 )
 
 
@@ -50,6 +50,7 @@ def simulated() -> list[str]:
     plain = [f"{world}/{sensors}" for world in WORLDS for sensors in ("level", "paper", "lidar32") if world != "ramp"]
     plain += ["ramp/lidar32", "ramp/lidar16", "ramp/depth", "ramp/paper"]
     plain += [f"{w}/{s}" for w in ("irregular", "cluttered") for s in ("pushbroom", "lidar16", "lidar64", "depth")]
+    plain += ["irregular/turning16", "cluttered/turning32"]
     wheels = [f"{world}/{s}/{o}" for world, s in (("irregular", "lidar16"), ("office", "paper")) for o in _BAD_WHEELS]
     wheels += _MORE_WHEELS.split()
     wrong = [

@@ -1,19 +1,28 @@
-"""A 2D laser takes time over a scan, and the robot drives on: every beam from where the body was at its own moment."""
+"""A laser takes time over a scan, and the robot drives on: every beam from where the body was at its own moment."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
+import gtsam
 import numpy as np
 
-from slam.frontend.odometry import OdometryTrack
+from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.geometry.frames import inverse
 from slam.sensors.log import LaserScan
 from slam.sensors.rig import Sensor
 from slam.sensors.scan_noise import model_of
+from spplanes import Plane
 from spplanes._check import FloatArray
+from spplanes.clouds.turn import TurnBegin
 from spplanes.registration import RegisteredScans
+
+#: The body moves on evenly in so many parts of the turn of a spinning lidar.
+_PARTS = 64
+#: (x, y, heading) in GTSAM order; points of a plane that are asked when they were seen.
+_PLANAR, _FEW = [3, 4, 2], 200
 
 
 def middle_ns(scan: LaserScan, sensor: Sensor) -> int:
@@ -36,6 +45,57 @@ def unswept(scan: LaserScan, sensor: Sensor, track: OdometryTrack) -> LaserScan:
     angles = scan.angles + np.remainder(turned + np.pi, 2.0 * np.pi) - np.pi
     ranges = np.where(hit, np.hypot(moved[:, 0], moved[:, 1]), np.nan)
     return LaserScan(scan.stamp_ns, scan.sensor, ranges, np.maximum.accumulate(angles), scan.world_T_body)
+
+
+class Sweeps(NamedTuple):
+    """How a body moves while its lidar turns."""
+
+    track: OdometryTrack
+    twist_covariance: FloatArray
+    """Of what the track errs by about each scan: twist in the body frame, GTSAM order (rotation, translation), (6, 6),
+    a second."""
+
+    @classmethod
+    def of_wheels(cls, track: OdometryTrack, stamps_ns: Sequence[int], seconds: float) -> Sweeps:
+        """By odometry, about scans with turns of so many seconds: it errs as on the way of half of one."""
+        half_ns = round(0.5e9 * seconds)
+        steps = [
+            inverse(a) @ b
+            for a, b in zip(*(track.poses_at([t + k for t in stamps_ns]) for k in (0, half_ns)), strict=True)
+        ]
+        planar = track.noise.random_covariances([planar_delta(step) for step in steps]).mean(axis=0)
+        twist = np.zeros((6, 6))
+        twist[np.ix_(_PLANAR, _PLANAR)] = planar / (0.5 * seconds) ** 2
+        return cls(track, twist)
+
+    def unswept(self, points: FloatArray, sensor: Sensor, stamp_ns: int, begin: TurnBegin) -> FloatArray:
+        """Points of a turn, (N, 3) or (S, B, 3), as if all had been taken at its middle, its stamp.
+
+        Args:
+            points: in the frame of the sensor as it was at the moment of each, m; NaN = no return.
+            sensor: its `sweep_s`.
+            stamp_ns: of the scan, ns.
+            begin: where the turn begins.
+        """
+        parts = np.linspace(-0.5, 0.5, _PARTS + 1)
+        times = (stamp_ns + np.round(1e9 * sensor.sweep_s * parts)).astype(np.int64).tolist()
+        poses, mount, flat = self.track.onward([stamp_ns, *times]), sensor.body_T_sensor, points.reshape(-1, 3)
+        moved = inverse(poses[0] @ mount) @ poses[1:] @ mount
+        share = np.nan_to_num(begin.turned(flat)) * _PARTS
+        part = np.minimum(share.astype(np.int64), _PARTS - 1)
+        here, there = (_apply(moved[part + k], flat) for k in (0, 1))
+        return (here + (share - part)[:, None] * (there - here)).reshape(points.shape)
+
+    def blurred(self, plane: Plane, points: FloatArray, sensor: Sensor, begin: TurnBegin) -> Plane:
+        """A plane in the sensor's frame, with what its points (N, 3) err by together where the motion errs."""
+        few = points[:: max(len(points) // _FEW, 1)]
+        times = sensor.sweep_s * (begin.turned(few) - 0.5)
+        at_sensor = gtsam.Pose3(inverse(sensor.body_T_sensor)).AdjointMap()
+        normal, local = plane.frame[:3, 2], (few - plane.frame[:3, 3]) @ plane.frame[:3, :3]
+        off = times[:, None] * np.column_stack((np.cross(few, normal), np.broadcast_to(normal, few.shape)))
+        heights = np.column_stack((np.ones(len(few)), -local[:, 0], local[:, 1]))
+        errs = np.linalg.lstsq(heights, off, rcond=None)[0] @ at_sensor
+        return replace(plane, covariance=plane.covariance + errs @ self.twist_covariance @ errs.T)
 
 
 def place_beams(

@@ -14,7 +14,7 @@ from factors.association.observations import Observation
 from slam.ahead import ordered_parallel_map
 from slam.config import SlamConfig
 from slam.errors import LogError
-from slam.frontend.deskewing import unswept
+from slam.frontend.deskewing import Sweeps, unswept
 from slam.frontend.laser_odometry.stalled_wheels import Stall, over_stalls, stalls_of
 from slam.frontend.laser_odometry.track import LaserTrack, motion_between
 from slam.frontend.laser_odometry.tracker import laser_track
@@ -68,7 +68,14 @@ class Keyframe:
 
 
 def keyframes_of(
-    log: Log, rig: Rig, config: SlamConfig, start: int = 0, *, segment: Segment = label_scans, jobs: int = 1
+    log: Log,
+    rig: Rig,
+    config: SlamConfig,
+    start: int = 0,
+    *,
+    segment: Segment = label_scans,
+    jobs: int = 1,
+    sweeps: Sweeps | None = None,
 ) -> Generator[Keyframe, None, None]:
     """Cut a log into keyframes, in time order.
 
@@ -76,7 +83,8 @@ def keyframes_of(
     push-broom lasers, if there are no others) by distance and angle of the odometry; the push-broom scans nearest to a
     keyframe are its window, so that each of them is used once. The first `start` keyframes are left out unmeasured:
     those a session has already. `segment` finds the planes of 3D scans and of push-broom windows. So many `jobs`
-    measure ahead of whoever takes the keyframes; what they are does not depend on it.
+    measure ahead of whoever takes the keyframes; what they are does not depend on it. During the turns of a spinning
+    lidar that takes time over them (`Sensor.sweep_s`) the body moves by `sweeps`; None: by the odometry, if any.
 
     Raises:
         LogError: no scan of a sensor that the rig knows, or no odometry where it is needed.
@@ -85,7 +93,7 @@ def keyframes_of(
     if clouds:
         # without odometry the estimator finds the motion by the planes
         track = _track_of(log, rig) if log.measured_motion else None
-        measure, count = partial(_of_cloud, clouds, track, rig, config, segment), len(clouds)
+        measure, count = partial(_of_cloud, clouds, (track, sweeps), rig, config, segment), len(clouds)
     else:
         measure = _Lasers(log, rig, config, segment)
         count = len(measure.stamps)
@@ -99,17 +107,19 @@ def count_keyframes(log: Log, rig: Rig, config: SlamConfig) -> int:
 
 def _of_cloud(
     clouds: Sequence[tuple[CloudScan, list[str]]],
-    track: OdometryTrack | None,
+    tracks: tuple[OdometryTrack | None, Sweeps | None],
     rig: Rig,
     config: SlamConfig,
     segment: Segment,
     index: int,
 ) -> Keyframe:
-    """The keyframe that is the 3D scan of an index."""
-    (scan, late), seen = clouds[index], ScanMeasurement()
+    """The keyframe that is the 3D scan of an index; by tracks of the odometry, and of the motion within its turn."""
+    (scan, late), seen, (track, sweeps) = clouds[index], ScanMeasurement(), tracks
     sensor, notes = rig.sensors[scan.sensor], [*late]
     with _noted(scan.stamp_ns, config, notes):
-        seen = measured_cloud(scan, sensor, config, segment)
+        if sweeps is None and track is not None and sensor.sweep_s > 0.0:
+            sweeps = Sweeps.of_wheels(track, [scan.stamp_ns], sensor.sweep_s)
+        seen = measured_cloud(scan, sensor, config, segment, sweeps)
     return Keyframe(
         scan.stamp_ns,
         seen.observations,

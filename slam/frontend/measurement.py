@@ -12,7 +12,7 @@ from shapely import Polygon
 
 from factors.association.observations import LineObservation, PlaneObservation
 from slam.config import SlamConfig
-from slam.frontend.deskewing import middle_ns, place_beams
+from slam.frontend.deskewing import Sweeps, middle_ns, place_beams
 from slam.frontend.odometry import OdometryTrack, planar_delta
 from slam.frontend.scan_regions import (
     Regions,
@@ -33,6 +33,7 @@ from slam.sensors.scan_noise import line_tilt_covariances, model_of, surface_cov
 from spplanes import LineConfig, MapperConfig, Plane, extract_lines, fit_plane
 from spplanes._check import FloatArray, as_float_array
 from spplanes.clouds.arrange import are_linked, arrange
+from spplanes.clouds.turn import TurnBegin
 from spplanes.registration import RegisteredScans, beam_directions, register_scans
 from spplanes.segmentation.config import ValidationConfig
 from spplanes.segmentation.planes import frames_of, moments_of, outlines_in, planes_of
@@ -118,11 +119,16 @@ def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list
 
 
 def measured_cloud(
-    scan: CloudScan, sensor: Sensor, config: SlamConfig, segment: Segment = label_scans
+    scan: CloudScan,
+    sensor: Sensor,
+    config: SlamConfig,
+    segment: Segment = label_scans,
+    sweeps: Sweeps | None = None,
 ) -> ScanMeasurement:
     """Planes of one 3D scan, and all its returns as surface elements.
 
-    Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those.
+    Where the rig knows of rough surfaces, what is on no plane is searched again for planes as flat as those. During the
+    turn of a sensor that takes time over it the body moved by `sweeps`, where that is known.
     """
     points = as_float_array("points", scan.points)  # once: a stored cloud is read each time
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
@@ -130,6 +136,10 @@ def measured_cloud(
     points = usable_points(points, sensor)
     if not np.isfinite(points).any():
         return ScanMeasurement()
+    begin = None
+    if sensor.sweep_s > 0.0 and sweeps is not None:
+        begin = scan.begin or TurnBegin(np.deg2rad(sensor.sweep_start_deg), sensor.sweep_clockwise)
+        points = sweeps.unswept(points, sensor, scan.stamp_ns, begin)
     points = in_rows(points, sensor)
     planes, labels = _flat_planes(points, sensor, config, segment)
     if sensor.rough_sigma_m > sensor.surface_sigma_m:
@@ -139,9 +149,19 @@ def measured_cloud(
         labels = np.where(rough_labels >= 0, rough_labels + len(planes), labels)
         planes += more
     hesse = np.array([(*plane.normal, plane.d) for plane in planes]).reshape(-1, 4)
+    if begin is not None and sweeps is not None:
+        members = members_of(labels, len(planes))
+        seen = zip(planes, (points.reshape(-1, 3)[some] for some in members), strict=True)
+        planes = [sweeps.blurred(plane, some, sensor, begin) for plane, some in seen]
     observations = [PlaneObservation(plane.transform(sensor.body_T_sensor)) for plane in planes]
     observations = sorted(observations, key=lambda seen: -seen.n_points)
     return ScanMeasurement(observations, surfaces_of(points, labels, hesse, sensor))
+
+
+def loose_surfaces(scan: CloudScan, sensor: Sensor) -> FloatArray:
+    """Surface elements (N, 9) of a 3D scan as its points come, none of them laid on a plane; see `surfaces_of`."""
+    points = in_rows(usable_points(scan.points, sensor), sensor)
+    return surfaces_of(points, np.full(points.shape[:2], -1), np.empty((0, 4)), sensor)
 
 
 def in_rows(points: FloatArray, sensor: Sensor) -> FloatArray:

@@ -133,6 +133,14 @@ class OdometryTrack:
         """Times of the first readings after a jump, ns."""
         return self._stamps[self._jumps + 1].tolist()
 
+    def onward(self, stamps_ns: Sequence[int]) -> FloatArray:
+        """As `poses_at`, but before the first reading and after the last the body goes on as it did beside it."""
+        stamps = np.asarray(stamps_ns, dtype=np.int64)
+        inside = np.clip(stamps, self._stamps[0], self._stamps[-1])
+        there, back = self.poses_at(inside.tolist()), self.poses_at((2 * inside - stamps).tolist())
+        off = (inside != stamps)[:, None, None]
+        return np.where(off, there @ np.linalg.inv(back) @ there, there)
+
     @cached_property
     def is_planar(self) -> bool:
         """Whether no reading leaves the floor, in height or by a lean, m and rad."""

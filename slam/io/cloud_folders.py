@@ -33,6 +33,7 @@ from slam.sensors.log import CloudScan, Event, Log, OdometryReading
 from slam.sensors.rig import Sensor
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import arrange
+from spplanes.clouds.turn import told_turn
 
 #: Name of the sensor where no rig gives one.
 SENSOR = "scanner"
@@ -81,7 +82,12 @@ def read_cloud_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     scans = ScanFiles(folder, "cloud", paths, stamps, timed)
     world_T_body = None if poses is None else scans.poses(posed_by or folder, poses)
     grid = grid_of(sensor)
-    events = scans.events(name, lambda path: arrange(read_cloud(path).points, grid), world_T_body)
+    events = scans.events(
+        name,
+        world_T_body,
+        points=lambda path: arrange(read_cloud(path).points, grid),
+        turn=lambda path: told_turn(read_cloud(path).points),
+    )
     if isinstance(moves, Trajectory) and timed:
         if odometry is not None:
             check_reach(odometry, moves, stamps)
@@ -101,7 +107,7 @@ def read_e57_log(path: Path, name: str, sensor: Sensor) -> Log:
     poses = _of_body([cloud.world_T_sensor for cloud in clouds], sensor)
     told = [None] * len(clouds) if poses is None else poses
     events: list[Event] = [
-        CloudScan(index * SCAN_PERIOD_NS, name, arrange(cloud.points, grid), pose)
+        CloudScan(index * SCAN_PERIOD_NS, name, arrange(cloud.points, grid), pose, told_turn(cloud.points))
         for index, (cloud, pose) in enumerate(zip(clouds, told, strict=True))
     ]
     return Log(events, path, [] if poses is None else [_no_odometry(None)])

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,14 +62,17 @@ class ScanFiles:
             return poses[numbers]
         raise LogError(source, f"expected a pose for each of the {len(self.paths)} {self.kind}s, got {len(poses)}")
 
-    def events(self, sensor: str, read: Callable[[Path], FloatArray], poses: FloatArray | None) -> list[Event]:
-        """The scans, which stay in their files until they are asked for, with world_T_body (N, 4, 4) or none."""
+    def events(self, sensor: str, poses: FloatArray | None, **readers: Callable[[Path], Any]) -> list[Event]:
+        """The scans with world_T_body (N, 4, 4) or none; fields that have readers stay in the files until asked for."""
         told = zip(self.stamps, [None] * len(self.paths) if poses is None else poses, strict=True)
-        points = {"points": lambda place: read(self.paths[place])}
+        of_place = {name: partial(self._read, read) for name, read in readers.items()}
         return [
-            StoredCloud({"stamp_ns": stamp, "sensor": sensor, "world_T_body": pose}, points, place)
+            StoredCloud({"stamp_ns": stamp, "sensor": sensor, "world_T_body": pose}, of_place, place)
             for place, (stamp, pose) in enumerate(told)
         ]
+
+    def _read(self, read: Callable[[Path], Any], place: int) -> Any:
+        return read(self.paths[place])
 
 
 def first_file(folder: Path, names: tuple[str, ...]) -> Path | None:

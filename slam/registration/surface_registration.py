@@ -331,8 +331,8 @@ def _fit(some: Correspondences, shares: FloatArray, motion: FloatArray) -> _Fit:
     found = Residuals.of(some, motion, _REACHES[-1] * some.widths)
     alone = np.ones(len(elements), dtype=bool)
     alone[found.index] = False
-    close = shares[found.index] @ _close(found.off, elements[found.index])
-    close += shares[alone] @ _close(known.between(motion, elements[alone]), elements[alone])
+    close = shares[found.index] @ closeness(found.off, elements[found.index])
+    close += shares[alone] @ closeness(known.between(motion, elements[alone]), elements[alone])
     return _Fit(float(close), len(found.off) / len(elements), elements[alone])
 
 
@@ -342,6 +342,8 @@ class Residuals:
 
     index: np.ndarray
     """Which elements, shape (K,)."""
+    partners: np.ndarray
+    """Of the known ones, shape (K,)."""
     off: FloatArray
     """Shape (K,), m."""
     jacobian: FloatArray
@@ -371,7 +373,7 @@ class Residuals:
         index, off, jacobian, variance, tilts = point_to_plane(scan.elements, motion, nearest, known, reach, ALIKE)
         usual = max(_LEAST_SCALE_M, 1.4826 * float(np.median(np.abs(off))) if len(off) else 0.0)
         believed = 1.0 / (1.0 + (off / (_KERNEL * usual if kernel is None else kernel[index])) ** 2) ** 2
-        return cls(index, off, jacobian, believed / variance, tilts)
+        return cls(index, nearest[index], off, jacobian, believed / variance, tilts)
 
     def information(self) -> FloatArray:
         """Of the motion by all of them, shape (6, 6)."""
@@ -415,7 +417,7 @@ class Residuals:
         return known, known @ np.linalg.solve(self._seeming(some) + WEAK_PRIOR, told)
 
 
-def _close(off: FloatArray, elements: FloatArray) -> FloatArray:
+def closeness(off: FloatArray, elements: FloatArray) -> FloatArray:
     """How close elements (N, 9) are to what is known, (N,), one at most: distances of them, (N,), m.
 
     Where few beams make elements wide, what is close does not grow with that.

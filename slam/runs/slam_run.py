@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from slam.config import SlamConfig
 from slam.diagnostics.verdict import Verdict
+from slam.frontend.deskewing import Sweeps
 from slam.frontend.input_checks import KeyframeError
 from slam.frontend.keyframes import count_keyframes, keyframes_of
 from slam.frontend.range_noise import with_shown_errors
@@ -18,6 +19,7 @@ from slam.io.plausibility import check_events
 from slam.io.trajectories import Trajectory
 from slam.joining.join import Progress
 from slam.planeslam import MapPlane, PlaneSlam
+from slam.runs.compensation import compensated
 from slam.runs.repair import Repair, assessed, repaired
 from slam.runs.scan_trajectory import as_stamped, odometry_of, scan_stamps, scan_trajectory
 from slam.sensors.log import Log
@@ -98,7 +100,18 @@ def run_slam(
     clock = clock or StageClock()
     slam = slam or PlaneSlam(config)
     slam.clock = slam.backend.clock = clock
-    rig = _add_keyframes(slam, log, rig, config, jobs, progress)
+    with clock.stage("measure"):  # what shows the noise
+        rig = with_shown_errors(log, rig)
+    _add_keyframes(slam, log, rig, config, jobs, progress)
+
+    def map_again(rig: Rig, sweeps: Sweeps | None) -> PlaneSlam:
+        other = slam.anew(slam.prior)
+        _add_keyframes(other, log, rig, config, jobs, progress, sweeps)
+        return other
+
+    if (turning := compensated(slam, log, rig, map_again)) is not None:
+        turning.slam.supersede_measured(slam, turning.rig)
+        slam, rig = turning
     repairs, judged = None, None
     if repair:
         with clock.stage("repair"):
@@ -115,17 +128,22 @@ def run_slam(
 
 
 def _add_keyframes(
-    slam: PlaneSlam, log: Log, rig: Rig, config: SlamConfig, jobs: int, progress: Progress | None
-) -> Rig:
-    """Add the keyframes of a log that the estimator does not have; returns the rig with the noise that ranges show.
-
-    Of one that is refused what it saw is left out, with a note.
+    slam: PlaneSlam,
+    log: Log,
+    rig: Rig,
+    config: SlamConfig,
+    jobs: int,
+    progress: Progress | None,
+    sweeps: Sweeps | None = None,
+) -> None:
+    """Add the keyframes of a log that the estimator does not have. Of one that is refused what it saw is left out, with
+    a note.
     """
     clock, done_before = slam.clock, len(slam.keyframes)
-    with clock.stage("measure"):  # what shows the noise, and laser odometry, which says where keyframes are
-        rig = with_shown_errors(log, rig)
+    with clock.stage("measure"):  # laser odometry, which says where keyframes are
         total = count_keyframes(log, rig, config)
-    with closing(keyframes_of(log, rig, config, done_before, segment=slam.segment, jobs=jobs)) as frames:
+    how = {"segment": slam.segment, "jobs": jobs, "sweeps": sweeps}
+    with closing(keyframes_of(log, rig, config, done_before, **how)) as frames:
         for done in range(done_before, total):
             with clock.stage("measure"):
                 keyframe = next(frames)
@@ -138,7 +156,6 @@ def _add_keyframes(
                     slam.add_keyframe(replace(keyframe, observations=[], notes=(*keyframe.notes, str(error))))
             if progress is not None:
                 progress(done + 1, total)
-    return rig
 
 
 def path_length_m(trajectory: Trajectory) -> float:

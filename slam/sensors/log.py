@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.lazy import Stored
-from spplanes._check import FloatArray
+from spplanes._check import FloatArray, as_float_array
+from spplanes.clouds.turn import TurnBegin, begin_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,17 @@ class CloudScan:
     """Organised, shape (S, B, 3), or unorganised, shape (N, 3), m; NaN = no return."""
     world_T_body: FloatArray | None = None
     """Pose of the robot that comes with the scan, shape (4, 4); None: none does."""
+    turn: tuple[float, float] | None = None
+    """Where the turn of a spinning sensor began, by the order in which the points came: azimuth, rad, and 1 or -1
+    (clockwise); a way of 0: they came in none. None: the points are in the order in which they came."""
+
+    @property
+    def begin(self) -> TurnBegin | None:
+        """The same; None: no order shows it."""
+        if self.turn is None:
+            return begin_of(as_float_array("points", self.points))
+        azimuth_rad, way = self.turn
+        return TurnBegin(azimuth_rad, way < 0.0) if way else None
 
 
 class StoredCloud(Stored, CloudScan):

@@ -136,7 +136,12 @@ class Sensor(Frozen):
     range_max_m: Positive
     """Ranges at or beyond this are no returns, m."""
     sweep_s: NotNegative = 0.0
-    """Time from the first beam of a 2D scan to the last, s; a scan's stamp is that of its first beam."""
+    """Time from the first beam of a 2D scan to the last, s; a scan's stamp is that of its first beam. Of a 3D sensor
+    that turns: time of a turn, in whose middle it is stamped; 0: nothing moved meanwhile, or it was compensated."""
+    sweep_start_deg: Finite = -180.0
+    """Azimuth about the sensor's z at which such a turn begins, deg, where the order of its points does not say."""
+    sweep_clockwise: bool = False
+    """Whether the sensor turns clockwise, seen from above, likewise."""
     surface_sigma_m: NotNegative = 0.0
     """Systematic floor: flatness of real walls and range bias that averaging over beams does not remove, m."""
     surface_correlation_m: Positive = 0.3

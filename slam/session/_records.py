@@ -73,7 +73,7 @@ class SessionRecords:
         #: Start in the prior map, shape (4, 4), found after the drive; None: the one that the prior map says.
         self.start = self._checked(_pose_of, self._read("session", "start"), "the start that was found")
         self._last = b""
-        self._root = digest(*(parameters[key] for key in _PARAMETERS))
+        self._root = self._first_digest()
         if damaged:  # nobody knows how many there were
             self._size = sys.maxsize
             return
@@ -163,6 +163,10 @@ class SessionRecords:
         if row is not None and digest(key, row[0]) != row[1]:
             raise SessionDamaged(f"{self.path}: damaged; the record of its {key} is not what was written")
         return None if row is None else row[0]
+
+    def _first_digest(self) -> bytes:
+        """Of the parameters of the run, with which the chain of checksums begins."""
+        return digest(*(self._read("session", key) for key in _PARAMETERS))
 
     def _digest_of(self, index: int) -> bytes:
         if index < 0:

@@ -18,6 +18,7 @@ from slam.frontend.keyframes import Keyframe
 from slam.lazy import Growing, Stored
 from slam.map.data_association import Decision
 from slam.sensors.log import Log
+from slam.sensors.rig import Rig
 from slam.session._codec import encode
 from slam.session.opening import session_path
 from slam.session.prior_map import PriorMap
@@ -52,6 +53,9 @@ class Recorder:
     def mended(self, places: Places, start: FloatArray | None, decisions: Sequence[Sequence[Decision]]) -> None:
         """All keyframes were matched anew with more places, or another start, known: the decisions are these now."""
 
+    def measured_anew(self, rig: Rig, keyframes: Sequence[Keyframe], decisions: Sequence[Sequence[Decision]]) -> None:
+        """All that was measured and decided is this now, with another rig."""
+
     def close(self) -> None:
         """Nothing more will come."""
 
@@ -80,9 +84,11 @@ class SessionRecorder(Recorder):
         """Commit measurements, or find them committed."""
         if index < len(self.session):
             return keyframe
-        scans = [(self._places.get(id(scan)), encode(scan) if self._by_value else None) for scan in keyframe.scans]
-        stored = self.session.add_keyframe(keyframe, scans)
+        stored = self.session.add_keyframe(keyframe, self._scans_of(keyframe))
         return stored if self._forget else replace(stored, scans=keyframe.scans)
+
+    def _scans_of(self, keyframe: Keyframe) -> list[tuple[int | None, bytes | None]]:
+        return [(self._places.get(id(scan)), encode(scan) if self._by_value else None) for scan in keyframe.scans]
 
     def decided(self, index: int, decisions: Sequence[Decision]) -> None:
         """Commit decisions, or compare them with those committed."""
@@ -95,6 +101,10 @@ class SessionRecorder(Recorder):
     def mended(self, places: Places, start: FloatArray | None, decisions: Sequence[Sequence[Decision]]) -> None:
         """Commit all at once."""
         self.session.mend(places, start, decisions)
+
+    def measured_anew(self, rig: Rig, keyframes: Sequence[Keyframe], decisions: Sequence[Sequence[Decision]]) -> None:
+        """Commit all at once."""
+        self.session.measure_anew(rig, [(frame, self._scans_of(frame)) for frame in keyframes], decisions)
 
     def close(self) -> None:
         """Close the session."""
@@ -131,7 +141,13 @@ def resumed(kind: Callable[..., Slam], session: Session, recorder: SessionRecord
 
 
 def is_measured_again(session: Session, index: int, keyframe: Keyframe) -> bool:
-    """Whether a keyframe measured anew is the one that was recorded, bit for bit."""
+    """Whether a keyframe measured anew is the one that was recorded, bit for bit.
+
+    Of a lidar whose turns were taken apart by the map that was made, the time alone says so.
+    """
+    clouds = {} if session.rig is None else session.rig.of_kind("cloud")
+    if keyframe.motion is None and any(sensor.sweep_s > 0.0 for sensor in clouds.values()):
+        return keyframe.stamp_ns == session.keyframe(index).stamp_ns
     again, before = replace(keyframe, scans=()), replace(session.keyframe(index), places=keyframe.places)
     return encode(again) == encode(before)
 

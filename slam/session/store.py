@@ -104,18 +104,30 @@ class Session(SessionRecords):
 
         `scans`: place in the log and content of each of its raw scans, as far as they are to be kept.
         """
-        index, data = self._size, encode(without_scans(keyframe))
+        data = encode(without_scans(keyframe))
         read = keyframe_of(data)  # before it is written: it can be read
-        checksum = digest(self._last, index, keyframe.stamp_ns, data)
         with self._writing():
-            self._insert("keyframes", index, int(keyframe.stamp_ns), data, checksum)
-            for number, (scan, kept) in enumerate(zip(keyframe.scans, scans, strict=False)):
-                row = (number, scan.sensor, int(scan.stamp_ns), *kept)
-                self._insert("scans", index, *row, digest(checksum, *row))
-        self._size, self._last = index + 1, checksum
+            checksum = self._put_keyframe(self._size, self._last, keyframe, data, scans)
+        self._size, self._last = self._size + 1, checksum
         if self._file.lock is not None:
             promise(self._file.lock, self._size)
         return read
+
+    def _put_keyframe(
+        self,
+        index: int,
+        before: bytes,
+        keyframe: Keyframe,
+        data: bytes,
+        scans: Sequence[tuple[int | None, bytes | None]],
+    ) -> bytes:
+        """The checksum of a keyframe, after that of the one before it."""
+        checksum = digest(before, index, keyframe.stamp_ns, data)
+        self._insert("keyframes", index, int(keyframe.stamp_ns), data, checksum)
+        for number, (scan, kept) in enumerate(zip(keyframe.scans, scans, strict=False)):
+            row = (number, scan.sensor, int(scan.stamp_ns), *kept)
+            self._insert("scans", index, *row, digest(checksum, *row))
+        return checksum
 
     def add_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         """Record what the measurements of a keyframe were taken for."""
@@ -139,6 +151,34 @@ class Session(SessionRecords):
                 self._put_decisions(index, decision)
             self._seal("running")
         self.places, self.start = known, self.start if start is None else start
+
+    def measure_anew(
+        self,
+        rig: Rig,
+        measured: Sequence[tuple[Keyframe, Sequence[tuple[int | None, bytes | None]]]],
+        decisions: Sequence[Sequence[Decision]],
+    ) -> None:
+        """Record all keyframes, as `add_keyframe` takes them, with another rig, in place of those that were.
+
+        One transaction: a session is the one that it was, or the other.
+        """
+        before = self._root, self._size, self._last
+        try:
+            with self._writing():
+                put(self._db, "session", "rig", json.dumps(rig.to_plain()).encode())
+                for table in ("decisions", "scans", "keyframes"):
+                    self._db.execute(f"DELETE FROM {table}")
+                self._root = self._last = self._first_digest()
+                for index, (keyframe, scans) in enumerate(measured):
+                    self._last = self._put_keyframe(index, self._last, keyframe, encode(without_scans(keyframe)), scans)
+                    self._size = index + 1
+                for index, decision in enumerate(decisions):
+                    self._put_decisions(index, decision)
+                self._seal("running")
+        except BaseException:
+            self._root, self._size, self._last = before
+            raise
+        self.rig = rig
 
     def _put_decisions(self, index: int, decisions: Sequence[Decision]) -> None:
         data = encode(list(decisions))

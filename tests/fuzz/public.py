@@ -224,6 +224,7 @@ WITHOUT_ARRAYS = {
     *("factors.observation_factor", "factors.LandmarkExtents.change_anchor"),
     *("slam.SlamConfig", "slam.SlamConfig.to_yaml", "slam.PlaneSlam.open"),
     *("slam.PlaneSlam.close", "slam.PlaneSlam.optimize_batch", "slam.PlaneSlam.adopt_batch", "slam.PlaneSlam.remap"),
+    *("slam.PlaneSlam.anew", "slam.PlaneSlam.supersede_measured"),
     *("slam.PlaneSlam.supersede", "slam.PlaneSlam.explain", "slam.PlaneSlam.marginal_covariance"),
 }
 

@@ -98,7 +98,7 @@ def _recorded(
         events += [OdometryReading(int(t), pose) for t, pose in zip(stamps, readings, strict=True)]
     for sensing, rng in zip(suite, noise.spawn(len(suite)), strict=True):
         at = ticks[round(sensing.late_m / tick_m) :: round(sensing.every_m / tick_m)]
-        scans, labels[sensing.name] = _scans(scene, sensing, poses[at], stamps[at], rng)
+        scans, labels[sensing.name] = _scans(scene, sensing, at * tick_m, stamps[at], rng)
         events += scans
     truth = Truth(stamps, poses, scene.world.planes, labels)
     log = Log(in_order(events), Path(f"simulated {recipe.name}"))
@@ -106,16 +106,16 @@ def _recorded(
 
 
 def _scans(
-    scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray, rng: np.random.Generator
+    scene: Scene, sensing: Sensing, way: np.ndarray, stamps: np.ndarray, rng: np.random.Generator
 ) -> tuple[list[LaserScan | CloudScan], np.ndarray]:
-    """Scans from poses (S, 4, 4) of the body at times (S,), ns, and the plane each beam met, (S, B) or (S, F, B)."""
+    """Scans after ways (S,) of the body, m, at times (S,), ns, and the plane each beam met, (S, B) or (S, F, B)."""
     fans, n_beams = sensing.beams.directions.shape[:2]
     block = max(1, BLOCK_BEAMS // (fans * n_beams))
     scans: list[LaserScan | CloudScan] = []
-    labels = np.empty((len(poses), fans * n_beams), dtype=np.int32)
-    for first in range(0, len(poses), block):
+    labels = np.empty((len(way), fans * n_beams), dtype=np.int32)
+    for first in range(0, len(way), block):
         some = slice(first, first + block)
-        ranges, labels[some] = _cast(scene, sensing, poses[some], stamps[some])
+        ranges, labels[some] = _cast(scene, sensing, way[some], stamps[some])
         read = sensing.read(ranges, rng)
         labels[some] = np.where(np.isnan(read), np.int32(NO_PLANE), labels[some])
         at_times = zip(stamps[some].tolist(), read, strict=True)
@@ -123,14 +123,16 @@ def _scans(
     return scans, labels if sensing.beams.angles is not None else labels.reshape(-1, fans, n_beams)
 
 
-def _cast(scene: Scene, sensing: Sensing, poses: np.ndarray, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _cast(scene: Scene, sensing: Sensing, way: np.ndarray, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Exact ranges and labels, both (S, F B), each fan cast as a scan of its own."""
     beams = sensing.beams
     fans, n_beams = beams.directions.shape[:2]
-    world_T_sensor = poses @ sensing.sensor.body_T_sensor
-    turns = world_T_sensor[:, :3, :3]
-    rays = np.einsum("sij,fbj->sfbi", turns, beams.directions).reshape(-1, n_beams, 3)
-    normals = np.einsum("sij,fj->sfi", turns, beams.normals).reshape(-1, 3)
-    origins = np.repeat(world_T_sensor[:, :3, 3], fans, axis=0)
-    ranges, labels = scene.cast(origins, rays, normals, np.repeat((stamps - START_NS) * 1e-9, fans))
+    late_s = sensing.turn_s * ((np.arange(fans) + 0.5) / fans - 0.5)  # a lidar turns from fan to fan
+    poses = scene.course.poses_at((way[:, None] + SPEED_M_PER_S * late_s).ravel())
+    world_T_sensor = (poses @ sensing.sensor.body_T_sensor).reshape(len(way), fans, 4, 4)
+    turns = world_T_sensor[..., :3, :3]
+    rays = np.einsum("sfij,fbj->sfbi", turns, beams.directions).reshape(-1, n_beams, 3)
+    normals = np.einsum("sfij,fj->sfi", turns, beams.normals).reshape(-1, 3)
+    times = (stamps[:, None] - START_NS) * 1e-9 + late_s
+    ranges, labels = scene.cast(world_T_sensor[..., :3, 3].reshape(-1, 3), rays, normals, times.ravel())
     return ranges.reshape(-1, fans * n_beams), labels.reshape(-1, fans * n_beams)

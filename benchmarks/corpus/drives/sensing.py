@@ -33,6 +33,7 @@ class Sensing:
     beams: Beams
     every_m: float  # way between two scans, m
     late_m: float = 0.0  # way before the first scan, m
+    turn_s: float = 0.0  # time of a turn of a lidar, in whose middle a cloud is stamped; the rig says nothing of it
     by_depth: bool = False  # whether the noise grows with depth, as of a structured-light camera
 
     def read(self, ranges: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -57,10 +58,10 @@ def _paper() -> list[Sensing]:
     return [level, Sensing(VERTICAL, sensors[VERTICAL], BEAMS[VERTICAL], _SLICES_M)]
 
 
-def _lidar(rings: int, lowest_deg: float, highest_deg: float) -> Sensing:
+def _lidar(rings: int, lowest_deg: float, highest_deg: float, turn_s: float = 0.0) -> Sensing:
     sensor, turns = spinning_rig().sensors[SPINNING], np.linspace(-np.pi, np.pi, _STEPS, endpoint=False)
     beams = Beams.of_spinning(turns, np.deg2rad(np.linspace(lowest_deg, highest_deg, rings)))
-    return Sensing(LIDAR, sensor, beams, _CLOUDS_M)
+    return Sensing(LIDAR, sensor, beams, _CLOUDS_M, turn_s=turn_s)
 
 
 def camera_beams(rows: int, columns: int, focal_pixels: float) -> Beams:
@@ -88,5 +89,7 @@ SENSORS: dict[str, list[Sensing]] = {
     "lidar16": [_lidar(16, -15.0, 15.0)],
     "lidar32": [_lidar(32, -30.0, 30.0)],
     "lidar64": [_lidar(64, -30.0, 30.0)],
+    "turning16": [_lidar(16, -15.0, 15.0, 0.1)],
+    "turning32": [_lidar(32, -30.0, 30.0, 0.1)],
     "depth": [_camera()],
 }

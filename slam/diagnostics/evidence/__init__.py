@@ -12,7 +12,7 @@ from slam.diagnostics.evidence.coverage import (
     waiting_evidence,
 )
 from slam.diagnostics.evidence.innovations import believed_evidence, nis_evidence, odometry_evidence
-from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence
+from slam.diagnostics.evidence.mounts import heading_evidence, mount_evidence, turn_evidence
 from slam.diagnostics.evidence.prior import prior_evidence
 from slam.diagnostics.evidence.surfaces import Surfaces, doubled_evidence, free_space_evidence
 from slam.diagnostics.verdict import Evidence, Verdict, weigh
@@ -42,6 +42,7 @@ def _evidence(run: PlaneSlam, rig: Rig) -> Iterator[Evidence]:
     yield from free_space_evidence(scan_views_of(run.keyframes, poses), poses)
     yield from mount_evidence(run.keyframes, rig)
     yield from heading_evidence(run.keyframes, poses, rig)
+    yield from turn_evidence(run.keyframes, run.trajectory, rig)
     surfaces = Surfaces.of(run)
     yield from doubled_evidence(run, surfaces)
     if run.prior is not None:

@@ -15,7 +15,9 @@ from slam.diagnostics.views import View, compare
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy.raster import NOVEL_SHARE
 from slam.geometry.frames import inverse
+from slam.io.trajectories import Trajectory
 from slam.sensors.rig import Mount, Rig
+from slam.tracking.turns import TURN_SIGNIFICANCE, TurnSearch, sweeps_along
 from spplanes._check import FloatArray
 
 #: Mounts that are easily taken for another: the sensor turned about its own axes, roll and yaw, deg.
@@ -158,3 +160,20 @@ def _cloud_counts(first: Keyframe, second: Keyframe, turn: FloatArray, mounts: S
     )
     eye = body_T_sensor @ turn
     return np.add(agreement(here, there, motion, eye), agreement(there, here, inverse(motion), eye))
+
+
+def turn_evidence(keyframes: Sequence[Keyframe], trajectory: Trajectory, rig: Rig) -> Iterator[Evidence]:
+    """Clouds of a lidar that turned while it moved, which nobody compensated."""
+    sensors = rig.of_kind("cloud")
+    if len(sensors) != 1 or len(keyframes) < 3:
+        return
+    ((name, sensor),) = sensors.items()
+    if sensor.sweep_s > 0.0:
+        return
+    search, track = TurnSearch(sensor, keyframes), sweeps_along(trajectory).track
+    if search.is_suspected(trajectory, track, TURN_SIGNIFICANCE):
+        sentence = (
+            f"what {name} saw in different directions does not fit together as if it had been seen at once: if it "
+            "turned while it moved, state sweep_s in the rig"
+        )
+        yield Evidence("turns", "doubtful", 0.0, 1.0, "sensors", tuple(range(len(keyframes))), sentence)

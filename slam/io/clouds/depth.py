@@ -143,7 +143,7 @@ def read_depth_folder(folder: Path, name: str, sensor: Sensor, odometry: Path | 
     scans = ScanFiles(folder, "image", list(paths), stamps, told[0] is not None, numbered=False)
     truth = first_file(folder, CAMERA_POSES)
     poses = None if truth is None else scans.poses(truth, read_tum(truth)) @ inverse(mount)
-    events = scans.events(name, lambda path: read_depth_image(path, camera).points, poses)
+    events = scans.events(name, poses, points=lambda path: read_depth_image(path, camera).points)
     if (folder / _ODOMETRY).is_file():
         log = Log(in_order([*readings_of(folder / _ODOMETRY, events), *events]), folder)
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import starmap
@@ -23,6 +23,7 @@ from slam.sensors.log import Event, Log, OdometryReading, StoredCloud, StoredSca
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import Grid, arrange
+from spplanes.clouds.turn import told_turn
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,9 @@ def read_rosbag(path: Path, topics: Topics | None = None, *, rig: Rig | None = N
     for row, (stamp, topic, angles, _) in enumerate(found.scans):
         events.append(StoredScan({"stamp_ns": stamp, "sensor": names[topic], "angles": angles}, ranges, row))
     for stamp, topic, received in found.clouds:
-        read = partial(_cloud_at, path, topic, grid_of(told[topic][1]) if topic in told else None, keep_partial)
-        events.append(StoredCloud({"stamp_ns": stamp, "sensor": names[topic]}, {"points": read}, received))
+        read, grid = partial(_cloud_at, path, topic, keep_partial), grid_of(told[topic][1]) if topic in told else None
+        readers = {"points": partial(_arranged, read, grid), "turn": partial(_turn_of, read)}
+        events.append(StoredCloud({"stamp_ns": stamp, "sensor": names[topic]}, readers, received))
     return Log(_without_doubles(in_order(events), notes), path, notes, _mounts(found, body, names, notes, told))
 
 
@@ -211,13 +213,21 @@ def _without_doubles(events: list[Event], notes: list[str]) -> list[Event]:
     return list(kept.values())
 
 
-def _cloud_at(path: Path, topic: str, grid: Grid | None, keep_partial: bool, received: int) -> FloatArray:
-    """One cloud of a bag as a grid, shape (S, B, 3), m."""
+def _arranged(read: Callable[[int], FloatArray], grid: Grid | None, received: int) -> FloatArray:
+    return arrange(read(received), grid)
+
+
+def _turn_of(read: Callable[[int], FloatArray], received: int) -> tuple[float, float]:
+    return told_turn(read(received))
+
+
+def _cloud_at(path: Path, topic: str, keep_partial: bool, received: int) -> FloatArray:
+    """One cloud of a bag, shape (S, B, 3) or (N, 3), m."""
     reader = kept_open(path, keep_partial)
     connections = [connection for connection in reader.connections if connection.topic == topic]
     try:
         for connection, _, raw in reader.messages(connections, start=received, stop=received + 1):
-            return arrange(ros.points_of(reader.deserialize(raw, connection.msgtype)), grid)
+            return ros.points_of(reader.deserialize(raw, connection.msgtype))
     except Exception as error:  # as in opened
         raise LogError(path, f"{topic}: {in_short(error)}") from error
     raise LogError(path, f"expected a message of {topic} at {received} ns, found none")
