@@ -118,6 +118,8 @@ def _show_pose(title: str, found: Registration, as_json: bool) -> None:
     console.print(
         f"{found.n_planes} planes are in both, as is {100.0 * found.overlap:.0f} % of the surface of the second."
     )
+    if found.bent:
+        console.print("Both clouds are bent, as by a lidar that moved while it turned: its pose is that of mid-turn.")
     for sentence in found.open:
         console.print(visible(sentence), markup=False)
     for rival in numbers["rivals"][:_RIVALS]:

@@ -21,6 +21,7 @@ from slam.sensors.log import CloudScan, Log
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray
 from spplanes.clouds.arrange import arrange, shows_lines
+from spplanes.clouds.turn import told_turn
 
 
 def load(
@@ -81,7 +82,7 @@ def load_cloud(path: Path) -> tuple[Log, Rig]:
         cloud = read_cloud(path)
         points, rig = cloud.points, rigs.depth_rig() if cloud.is_depth_image else _rig_by_order(cloud.points)
     ((name, sensor),) = rig.sensors.items()
-    log = plausible(Log([CloudScan(0, name, arrange(points, grid_of(sensor)))], path), rig)
+    log = plausible(Log([CloudScan(0, name, arrange(points, grid_of(sensor)), turn=told_turn(points))], path), rig)
     log.assumed.extend(rigs.assumptions(log, rig))
     return log, rig
 

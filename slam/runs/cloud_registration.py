@@ -28,6 +28,9 @@ from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.plane_registration import pairs_under, places_anywhere, register_planes_globally
 from slam.registration.relocalization import scan_of
 from slam.registration.surface_registration import WEAK_PRIOR, Expected, LocalMap, Tried, align
+from slam.sensors.log import CloudScan
+from slam.sensors.rig import Sensor
+from slam.tracking.bent_pair import BentCloud, Straightened, straightened
 from spplanes._check import FloatArray, as_transform
 from spplanes.spmodel import rpy_from_transform, transform_from_rpy
 
@@ -50,6 +53,9 @@ class Registration:
     """Other places that were looked at, the likeliest first."""
     overlap: float
     """Share of what B sees that lies on a surface that A sees."""
+    bent: bool
+    """Whether the lidar moved while it turned, as both clouds show: the pose is of the middles of both turns, by planes
+    and returns with that motion unknown."""
     nis_per_dof: float
     """Chi2 of the planes in both, by the noise assumed for such sensors, per degree of freedom; `covariance` is scaled
     by it. NaN: too few planes to tell."""
@@ -68,6 +74,7 @@ class Registration:
             "reasons": self.verdict.reasons,
             "rivals": [{**_told(rival.a_T_b), "probability": rival.probability} for rival in self.rivals],
             "overlap": self.overlap,
+            "bent": self.bent,
             "nis_per_dof": self.nis_per_dof if np.isfinite(self.nis_per_dof) else None,
         }
 
@@ -95,21 +102,23 @@ def register_clouds(a: Path | str, b: Path | str, *, guess: FloatArray | None = 
     """
     files = Path(a), Path(b)
     start = None if guess is None else as_transform("guess", guess)
-    (seen_a, mount_a), (seen_b, mount_b) = (_measured(path) for path in files)
-    place = find_place(seen_a, seen_b, None if start is None else mount_a @ start @ inverse(mount_b))
+    (seen_a, sensor_a), (seen_b, sensor_b) = (_measured(path) for path in files)
+    if start is not None:
+        start = sensor_a.body_T_sensor @ start @ inverse(sensor_b.body_T_sensor)
+    place = find_place(seen_a, seen_b, start)
     if place is not None:
         slam = _run_of_two(seen_a, seen_b, place)
         if chi2 := _chi2_of_pairs(slam):
-            return _registration(slam, place, chi2, (mount_a, mount_b))
+            return _registration(slam, place, chi2, (sensor_a, sensor_b))
     raise ValueError(f"{files[0].name}, {files[1].name}: expected planes that both clouds have, found none")
 
 
-def _measured(path: Path) -> tuple[Keyframe, FloatArray]:
-    """What a cloud shows in the frame of a body that its sensor is on, and that sensor's body_T_sensor (4, 4)."""
+def _measured(path: Path) -> tuple[Keyframe, Sensor]:
+    """What a cloud shows in the frame of a body that its sensor is on, and that sensor."""
     log, rig = load_cloud(path)
     rig = with_shown_errors(log, rig)
     (sensor,) = rig.sensors.values()
-    return next(keyframes_of(log, rig, SlamConfig())), sensor.body_T_sensor
+    return next(keyframes_of(log, rig, SlamConfig())), sensor
 
 
 def _run_of_two(a: Keyframe, b: Keyframe, place: Place) -> PlaneSlam:
@@ -138,7 +147,7 @@ def _chi2_of_pairs(slam: PlaneSlam) -> list[float]:
     return [chi2 for chi2 in found if np.isfinite(chi2)]
 
 
-def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], mounts: Sequence[FloatArray]) -> Registration:
+def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], sensors: Sequence[Sensor]) -> Registration:
     """What the run of two found, in the frames of the sensors.
 
     Of K planes 3 K - 6 degrees of freedom are left beside the pose. By so few the noise is known with an error of its
@@ -150,13 +159,28 @@ def _registration(slam: PlaneSlam, place: Place, chi2: Sequence[float], mounts: 
     if spare > 2:
         nis = float(sum(chi2)) / spare
         covariance = covariance * nis * spare / (spare - 2)
-    a_T_body, b_T_sensor = inverse(mounts[0]), mounts[1]
+    a_T_b = inverse(first) @ second
+    bent = _straightened(slam.keyframes, sensors, a_T_b)
+    if bent is not None:
+        a_T_b, covariance = bent.a_T_b, bent.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    a_T_body, b_T_sensor = (inverse(sensors[0].body_T_sensor), sensors[1].body_T_sensor)
     moved = gtsam.Pose3(inverse(b_T_sensor)).AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     covariance = np.asarray(moved @ covariance @ moved.T, dtype=np.float64)
-    a_T_b, verdict = a_T_body @ inverse(first) @ second @ b_T_sensor, judge(place.match, covariance)
+    a_T_b, verdict = a_T_body @ a_T_b @ b_T_sensor, judge(place.match, covariance)
     open_ = tuple(stretch.sentence for stretch in slam.open_directions)
     rivals = tuple(rival._replace(a_T_b=a_T_body @ rival.a_T_b @ b_T_sensor) for rival in place.rivals)
-    return Registration(a_T_b, covariance, len(chi2), open_, verdict, rivals, place.overlap, nis)
+    return Registration(a_T_b, covariance, len(chi2), open_, verdict, rivals, place.overlap, bent is not None, nis)
+
+
+def _straightened(keyframes: Sequence[Keyframe], sensors: Sequence[Sensor], a_T_b: FloatArray) -> Straightened | None:
+    """The pose (4, 4) again, where both clouds come in the order of a turn and are bent."""
+    clouds: list[BentCloud] = []
+    for frame, sensor in zip(keyframes, sensors, strict=True):
+        (scan,) = frame.scans
+        if frame.surfaces is None or not isinstance(scan, CloudScan) or (begin := scan.begin) is None:
+            return None
+        clouds.append(BentCloud(frame.surfaces, sensor, begin))
+    return straightened(clouds[0], clouds[1], a_T_b)
 
 
 def read_guess(text: str) -> FloatArray:
