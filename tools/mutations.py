@@ -512,6 +512,26 @@ registration: a scan is laid from what is expected and from where nothing moved 
 slam/registration/relocalization.py  tests/slam/registration/test_surface_registration.py
 -proposed = [there @ turn for turn in _TURNED] if by_planes is None
 +proposed = [] if by_planes is None
+
+turns: what is seen last is taken for the first
+slam/frontend/deskewing.py  tests/slam/frontend/test_turning_lidars.py
+-share = np.nan_to_num(begin.turned(flat)) * _PARTS
++share = np.nan_to_num(1.0 - begin.turned(flat)) * _PARTS
+
+turns: planes do not err by the motion within them
+slam/frontend/deskewing.py  tests/slam/frontend/test_turning_lidars.py
+-plane.covariance + errs @ self.twist_covariance @ errs.T
++plane.covariance
+
+turns: clouds before are bent the other way
+slam/tracking/turns.py  tests/slam/runs/test_turning_lidars.py
+-by_time[every, theirs[:, _PART].astype(int)] -= np.einsum
++by_time[every, theirs[:, _PART].astype(int)] += np.einsum
+
+turns: of two clouds one is bent the other way
+slam/tracking/bent_pair.py  tests/slam/tracking/test_bent_pair.py
+-by_motions = -_by_twist(theirs, normals),
++by_motions = _by_twist(theirs, normals),
 """
 
 

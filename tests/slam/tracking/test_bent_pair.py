@@ -1,4 +1,4 @@
-"""Two clouds of a lidar that moved while it turned: found out, and laid with the motion unknown; others are left alone."""
+"""Two clouds of a lidar that moved while it turned: found out and laid with the motion unknown; others left alone."""
 
 from functools import lru_cache
 
