@@ -113,9 +113,11 @@ class ScanMeasurement:
     """All its returns, thinned, as surface elements, shape (N, 9); see `surfaces_of`. None: it has no returns."""
 
 
-def planes_of_cloud(scan: CloudScan, sensor: Sensor, config: SlamConfig) -> list[PlaneObservation]:
+def planes_of_cloud(
+    scan: CloudScan, sensor: Sensor, config: SlamConfig, sweeps: Sweeps | None = None
+) -> list[PlaneObservation]:
     """Planes of one 3D scan in the body frame, each facing the sensor, largest first."""
-    return measured_cloud(scan, sensor, config).observations
+    return measured_cloud(scan, sensor, config, sweeps=sweeps).observations
 
 
 def measured_cloud(
@@ -138,7 +140,7 @@ def measured_cloud(
         return ScanMeasurement()
     begin = None
     if sensor.sweep_s > 0.0 and sweeps is not None:
-        begin = scan.begin or TurnBegin(np.deg2rad(sensor.sweep_start_deg), sensor.sweep_clockwise)
+        begin = _begin_of(scan, sensor)
         points = sweeps.unswept(points, sensor, scan.stamp_ns, begin)
     points = in_rows(points, sensor)
     planes, labels = _flat_planes(points, sensor, config, segment)
@@ -156,6 +158,11 @@ def measured_cloud(
     observations = [PlaneObservation(plane.transform(sensor.body_T_sensor)) for plane in planes]
     observations = sorted(observations, key=lambda seen: -seen.n_points)
     return ScanMeasurement(observations, surfaces_of(points, labels, hesse, sensor))
+
+
+def _begin_of(scan: CloudScan, sensor: Sensor) -> TurnBegin:
+    """Where the turn of a sensor that spins began, by the order of its points or as the rig has it."""
+    return scan.begin or TurnBegin(np.deg2rad(sensor.sweep_start_deg), sensor.sweep_clockwise)
 
 
 def loose_surfaces(scan: CloudScan, sensor: Sensor) -> FloatArray:
@@ -319,10 +326,14 @@ def usable_points(points: FloatArray, sensor: Sensor) -> FloatArray:
     return np.where(np.isfinite(ranges)[..., None], points, np.nan)
 
 
-def returns_of(scan: LaserScan | CloudScan, sensor: Sensor) -> FloatArray:
-    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m."""
+def returns_of(scan: LaserScan | CloudScan, sensor: Sensor, sweeps: Sweeps | None = None) -> FloatArray:
+    """What a scan met within the reach of its sensor, in the sensor's frame, shape (N, 3), m; of a 3D sensor that takes
+    time over a turn as of its stamp, if the body moved by `sweeps`.
+    """
     if isinstance(scan, CloudScan):
         points = usable_points(np.asarray(scan.points, dtype=np.float64), sensor).reshape(-1, 3)
+        if sensor.sweep_s > 0.0 and sweeps is not None:
+            points = sweeps.unswept(points, sensor, scan.stamp_ns, _begin_of(scan, sensor))
     else:
         points = usable_ranges(scan.ranges, sensor)[:, None] * beam_directions(scan.angles)
     return points[np.isfinite(points).all(axis=1)]

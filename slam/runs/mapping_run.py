@@ -23,6 +23,7 @@ from slam.runs.slam_run import Progress, StageClock
 from slam.sensors.log import CloudScan, LaserScan, Log, StoredCloud
 from slam.sensors.rig import Rig, Sensor
 from slam.sensors.scan_noise import model_of
+from slam.tracking.turns import sweeps_along
 from spplanes import MapperConfig, PlaneMapper
 from spplanes._check import FloatArray
 from spplanes.registration import register_scans
@@ -153,10 +154,13 @@ def _map_clouds(
     slam = PlaneSlam(config.model_copy(update={"loops": loops, "landmarks": landmarks}))
     location = None if rig.localisation is None else rig.localisation.location_covariance()
     n_seen = n_represented = 0
+    given = Trajectory(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), np.array(poses))
+    turning = len(scans) > 2 and any(rig.sensors[scan.sensor].sweep_s > 0.0 for scan in scans)
+    sweeps = sweeps_along(given) if turning and (np.diff(given.stamps_ns) > 0).all() else None
     for index, scan in enumerate(scans):
         with clock.stage("measure"):
             whole = scan.loaded() if isinstance(scan, StoredCloud) else scan
-            seen = planes_of_cloud(whole, rig.sensors[scan.sensor], config)
+            seen = planes_of_cloud(whole, rig.sensors[scan.sensor], config, sweeps)
         n_seen += int(np.isfinite(whole.points[..., 0]).sum())
         n_represented += sum(one.n_points for one in seen)
         with clock.stage("map"):
@@ -167,7 +171,6 @@ def _map_clouds(
             progress(index + 1, len(scans))
     with clock.stage("map"):
         planes = slam.planes
-    given = Trajectory(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), np.array(poses))
     return MapResult(planes, given, given_at_scans(log, given), Trajectory.empty(), n_seen, n_represented, clock)
 
 

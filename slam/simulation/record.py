@@ -199,7 +199,10 @@ def _cast_block(plan: Plan, way: FloatArray, sensor: Sensor, beams: Beams, rng: 
         errors = sensor.bearing_sigma_rad * rng.standard_normal((len(way), n_beams))
         directions = beam_directions((beams.angles + errors).ravel()).reshape(directions.shape)
     normals = np.tile(beams.normals, (len(way), 1))
-    if sensor.sweep_s > 0.0:  # every beam is a fan of its own, from its own place
+    if sensor.sweep_s > 0.0 and beams.angles is None:  # from fan to fan, and stamped in the middle
+        late_m = SPEED_M_PER_S * sensor.sweep_s * ((np.arange(fans) + 0.5) / fans - 0.5)
+        way, directions = (way[:, None] + late_m).ravel(), directions.reshape(-1, n_beams, 3)
+    elif sensor.sweep_s > 0.0:  # every beam is a fan of its own, from its own place
         way = (way[:, None] + SPEED_M_PER_S * sensor.sweep_s * np.linspace(0.0, 1.0, n_beams)).ravel()
         directions, normals = directions.reshape(-1, 1, 3), np.repeat(normals, n_beams, axis=0)
     else:

@@ -93,12 +93,12 @@ def spinning_rig() -> Rig:
 
 
 def checked_rig(rig: Rig) -> Rig:
-    """The rig; ValueError: a sensor that cannot be simulated, or bearing noise or a sweep of a 3D one."""
+    """The rig; ValueError: a sensor that cannot be simulated, or bearing noise of a 3D one."""
     for name, sensor in rig.sensors.items():
         if name not in BEAMS:
             raise ValueError(f"rig: expected sensors among {', '.join(BEAMS)}, got {name!r}")
-        if BEAMS[name].angles is None and (sensor.bearing_sigma_rad > 0.0 or sensor.sweep_s > 0.0):
-            raise ValueError(f"rig: expected bearing noise and sweeps of 2D lasers only, got them of {name!r}")
+        if BEAMS[name].angles is None and sensor.bearing_sigma_rad > 0.0:
+            raise ValueError(f"rig: expected bearing noise of 2D lasers only, got it of {name!r}")
     return rig
 
 

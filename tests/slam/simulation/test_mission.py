@@ -7,8 +7,11 @@ import pytest
 from scipy.stats import kstest
 
 from slam.errors import LogError
+from slam.frontend.deskewing import Sweeps
+from slam.frontend.odometry import OdometryTrack
+from slam.geometry.frames import lift
 from slam.io.load import load
-from slam.sensors.log import CloudScan
+from slam.sensors.log import CloudScan, OdometryReading
 from slam.sensors.rig import LocalisationNoise, Rig, Sensor
 from slam.sensors.wheel_noise import OdometryNoise
 from slam.simulation import HORIZONTAL, SPINNING, VERTICAL, Path, Truth, paper_rig, simulate_mission, spinning_rig
@@ -173,8 +176,8 @@ def only(name, **sensor):
         ({"world": "room", "spacing_m": 0.0}, "spacing_m: expected a positive"),
         ({"world": "room", "rig": only("sonar", kind="line")}, "rig: expected sensors among"),
         (
-            {"world": "room", "rig": only(SPINNING, kind="cloud", sweep_s=0.1)},
-            "rig: expected bearing noise and sweeps",
+            {"world": "room", "rig": only(SPINNING, kind="cloud", bearing_sigma_rad=0.1)},
+            "rig: expected bearing noise of",
         ),
     ],
 )
@@ -225,3 +228,22 @@ def test_a_beam_without_return_has_no_label():
     arrays = simulate_mission("corridor", n_scans=60, rig=with_sensors(paper_rig(), range_max_m=2.0)).arrays(VERTICAL)
     lost = np.isnan(arrays.ranges)
     assert 0.1 < lost.mean() < 0.9 and (arrays.labels[lost] == -1).all() and np.nanmax(arrays.ranges) < 2.0
+
+
+def test_a_spinning_laser_sees_from_where_it_is_at_each_step():
+    rig = with_sensors(spinning_rig(), range_sigma_m=1e-9, sweep_s=0.1)
+    mission = simulate_mission("room", n_scans=14, rig=rig)
+    truth, sensor = mission.truth, rig.sensors[SPINNING]
+    readings = [OdometryReading(int(t), p) for t, p in zip(truth.stamps_ns, truth.world_T_body, strict=True)]
+    sweeps = Sweeps(OdometryTrack(readings, rig.odometry), np.zeros((6, 6)))
+    (raw, straight), scans = ([], []), [event for event in mission.log.events if isinstance(event, CloudScan)]
+    for k in (3, 10):
+        world_T_sensor = truth.poses_at(np.array([scans[k].stamp_ns]))[0] @ sensor.body_T_sensor
+        begin, labels = scans[k].begin, truth.labels[SPINNING][k]
+        assert begin is not None
+        at_once = sweeps.unswept(scans[k].points, sensor, scans[k].stamp_ns, begin)
+        for points, off in ((scans[k].points, raw), (at_once, straight)):
+            for plane in np.unique(labels[labels >= 0]):
+                off.append(np.abs(truth.planes[plane].distance(lift(points[labels == plane], world_T_sensor))).max())
+    assert max(raw) > 0.02
+    assert max(straight) < 0.002
