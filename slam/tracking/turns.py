@@ -42,10 +42,12 @@ from spplanes.clouds.turn import TurnBegin
 
 #: Parts of a turn with a time of their own, steps in each, and places where one may begin.
 _PARTS, _WITHIN, _STARTS = 16, 16, 256
-#: Keyframes that are laid on others, and on those so many before them.
-_KEYFRAMES, _BEFORE = 16, (1, 3, 6)
-#: How far, in widths, partners are looked for, and the steps of a descent at most.
-_REACHES, _STEPS = (1.5, 1.0), 6
+#: Keyframes that are laid on others, and that are asked first, and how many before them those are.
+_KEYFRAMES, _SUSPICIOUS, _BEFORE = 16, 8, (1, 3, 6)
+#: Changes of the turning rate count as much as they move what is so far away, m.
+_LEVER = np.array([5.0, 5.0, 5.0, 1.0, 1.0, 1.0])
+#: How far, in widths, partners are looked for, the steps of a descent at most, and what ends it, rad and m.
+_REACHES, _STEPS, _LAID = (1.5, 1.0), 6, 1e-4
 #: Clouds that were compensated show a turn by chance this often, and are looked at closer this often.
 TURN_SIGNIFICANCE, _SUSPECT = 1e-6, 1e-2
 #: A map of bent clouds has one in the frame of those just before it as well as this: information, of rad and m.
@@ -123,20 +125,30 @@ class TurnSearch:
         them there may be a turn, and no more is said.
         """
         own = [k for k, frame in enumerate(keyframes) if frame.surfaces is not None]
-        places = np.unique(np.linspace(1, len(own) - 1, _KEYFRAMES).astype(int)).tolist() if len(own) > 2 else []
-        #: Keyframes that are laid on others, first in each, and those.
-        self._groups = [[own[place], *(own[place - back] for back in _BEFORE if back <= place)] for place in places]
+        #: Keyframes that may be laid on others, first in each, and those; and the ones by which a turn is looked for.
+        self._every = [[own[i], *(own[i - back] for back in _BEFORE if back <= i)] for i in range(1, len(own))]
+        evenly = np.unique(np.linspace(0, len(self._every) - 1, _KEYFRAMES).astype(int)) if len(own) > 2 else []
+        self._groups = [self._every[i] for i in evenly]
         self._sensor, self._clouds, self._keyframes = sensor, clouds or {}, keyframes
 
     def is_suspected(self, trajectory: Trajectory, track: OdometryTrack, significance: float = _SUSPECT) -> bool:
-        """Whether there may be a turn: what is on planes lies as these do, which it bends; that costs little to ask."""
-        seen = {k: (self._keyframes[k].surfaces, TurnBegin()) for k in self._numbers}
-        _, gain = _look(self._views(seen, trajectory, track), Turn(), ordered=False)
+        """Whether there may be a turn: what is on planes lies as these do, which it bends; that costs little to ask.
+
+        Where a body moves evenly all clouds are bent alike: those are asked between which its motion changes most.
+        """
+        if not self._groups:
+            return False
+        twists = _twists(track, [frame.stamp_ns for frame in self._keyframes]) * _LEVER
+        changes = [np.linalg.norm(twists[group[1:]] - twists[group[0]], axis=1).max() for group in self._every]
+        most = sorted(np.argsort(changes, kind="stable")[-_SUSPICIOUS:].tolist())
+        groups = [self._every[i] for i in most]
+        seen = {k: (self._keyframes[k].surfaces, TurnBegin()) for group in groups for k in group}
+        _, gain = _look(self._views(groups, seen, trajectory, track), Turn(), ordered=False)
         return 2.0 * gain > chdtri(2, significance)
 
     def turn(self, trajectory: Trajectory, track: OdometryTrack) -> Turn | None:
         """The turn that the returns show as they come; None: they show none."""
-        views, turn = self._views(self._as_they_come, trajectory, track), Turn()
+        views, turn = self._views(self._groups, self._as_they_come, trajectory, track), Turn()
         for look in range(_LOOKS):
             before, (turn, gain) = turn, _look(views, turn, ordered=self._are_ordered)
             if not look and 2.0 * gain <= chdtri(2, TURN_SIGNIFICANCE):
@@ -147,7 +159,7 @@ class TurnSearch:
 
     def agreement(self, turn: Turn, trajectory: Trajectory, track: OdometryTrack) -> FloatArray:
         """How close clouds come to others with a turn, 0 to 1, in the mean of their elements, shape (K,)."""
-        laid = [_laid(views, turn) for views in self._views(self._as_they_come, trajectory, track)]
+        laid = [_laid(views, turn) for views in self._views(self._groups, self._as_they_come, trajectory, track)]
         close = [closeness(residuals.off, own[residuals.index]).sum() / len(own) for own, _, _, residuals in laid]
         return np.array(close)
 
@@ -172,19 +184,29 @@ class TurnSearch:
         return {k: (loose_surfaces(cloud, self._sensor), begins[k] or TurnBegin()) for k, cloud in clouds.items()}
 
     def _views(
-        self, seen: Mapping[int, tuple[FloatArray | None, TurnBegin]], trajectory: Trajectory, track: OdometryTrack
+        self,
+        groups: Sequence[Sequence[int]],
+        seen: Mapping[int, tuple[FloatArray | None, TurnBegin]],
+        trajectory: Trajectory,
+        track: OdometryTrack,
     ) -> list[list[_View]]:
         """Each that is laid on others, first, and those; edges, of which many are those of the view, tell nothing."""
-        views = {}
-        for k, (elements, begin) in seen.items():
+        views, numbers = {}, list(seen)
+        twists = _twists(track, [self._keyframes[k].stamp_ns for k in numbers])
+        for k, twist in zip(numbers, twists, strict=True):
+            elements, begin = seen[k]
             if elements is not None and len(elements := elements[elements[:, 7] != ON_EDGE]):
                 shares = begin.turned(moved(elements, inverse(self._sensor.body_T_sensor))[:, :3])
-                stamp_ns = self._keyframes[k].stamp_ns
-                before, after = track.poses_at([stamp_ns - _ABOUT_NS // 2, stamp_ns + _ABOUT_NS // 2])
-                twist = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(before) @ after)) / (1e-9 * _ABOUT_NS)
                 views[k] = _View(elements, shares, trajectory.poses[k], twist)
-        groups = [[views[k] for k in group if k in views] for group in self._groups if group[0] in views]
-        return [group for group in groups if len(group) > 1]
+        found = [[views[k] for k in group if k in views] for group in groups if group[0] in views]
+        return [group for group in found if len(group) > 1]
+
+
+def _twists(track: OdometryTrack, stamps_ns: Sequence[int]) -> FloatArray:
+    """How a body moves at some times, in its own frame, GTSAM order (rotation, translation) a second, shape (K, 6)."""
+    before, after = (track.poses_at([stamp + off for stamp in stamps_ns]) for off in (-_ABOUT_NS // 2, _ABOUT_NS // 2))
+    steps = np.linalg.inv(before) @ after
+    return np.array([gtsam.Pose3.Logmap(gtsam.Pose3(step)) for step in steps]).reshape(-1, 6) / (1e-9 * _ABOUT_NS)
 
 
 class _View(NamedTuple):
@@ -222,7 +244,10 @@ def _laid(views: Sequence[_View], turn: Turn) -> tuple[FloatArray, LocalMap, Flo
     for reach in _REACHES:
         for _ in range(_STEPS):
             residuals = Residuals.of(pairs, motion, reach * pairs.widths)
-            motion = motion @ gtsam.Pose3.Expmap(residuals.step(motion, Expected(np.eye(4), _AS_MAPPED))).matrix()
+            step = residuals.step(motion, Expected(np.eye(4), _AS_MAPPED))
+            motion = motion @ gtsam.Pose3.Expmap(step).matrix()
+            if np.abs(step).max() < _LAID:
+                break
     return own, known, motion, Residuals.of(pairs, motion, _REACHES[-1] * pairs.widths)
 
 
