@@ -21,7 +21,7 @@ from slam.tracking.turns import Turn, TurnSearch, sweeps_along
 
 #: Most lidars turn so long, s; another time must let clouds agree better by so many standard errors; and a log is
 #: mapped again so often at most.
-_FIRST_S, _SURE, _MAPS = 0.1, 1.5, 3
+_FIRST_S, _SURE, _MAPS = 0.1, 3.0, 3
 
 
 class Compensated(NamedTuple):
@@ -61,7 +61,7 @@ def compensated(
         return mapped(sensor, slam) if by_wheels is None else None
     clouds = {scan.stamp_ns: scan for scan in log.scans(name) if isinstance(scan, CloudScan)}
     with slam.clock.stage("turns"):
-        search = TurnSearch(sensor, slam.keyframes, clouds)
+        search = TurnSearch(sensor, slam.keyframes, along(slam), clouds)
         if not search.is_suspected(slam.trajectory, along(slam)):
             return None
         shown, best = search.turn(slam.trajectory, along(slam)), search.agreement(Turn(), slam.trajectory, along(slam))

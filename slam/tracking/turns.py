@@ -119,29 +119,27 @@ class TurnSearch:
     """The turn that clouds of a lidar show along a trajectory."""
 
     def __init__(
-        self, sensor: Sensor, keyframes: Sequence[Keyframe], clouds: Mapping[int, CloudScan] | None = None
+        self,
+        sensor: Sensor,
+        keyframes: Sequence[Keyframe],
+        track: OdometryTrack,
+        clouds: Mapping[int, CloudScan] | None = None,
     ) -> None:
-        """Of a sensor that is not said to turn, what keyframes saw with it, and its clouds by their times, ns: without
-        them there may be a turn, and no more is said.
+        """Of a sensor, what keyframes saw with it, how the body moves, and its clouds by their times, ns: without them
+        there may be a turn, and no more is said. Those keyframes are asked between which the motion changes most.
         """
         own = [k for k, frame in enumerate(keyframes) if frame.surfaces is not None]
-        #: Keyframes that may be laid on others, first in each, and those; and the ones by which a turn is looked for.
-        self._every = [[own[i], *(own[i - back] for back in _BEFORE if back <= i)] for i in range(1, len(own))]
-        evenly = np.unique(np.linspace(0, len(self._every) - 1, _KEYFRAMES).astype(int)) if len(own) > 2 else []
-        self._groups = [self._every[i] for i in evenly]
+        groups = [[own[i], *(own[i - back] for back in _BEFORE if back <= i)] for i in range(1, len(own))]
+        # where a body moves evenly all clouds are bent alike
+        twists = _twists(track, [frame.stamp_ns for frame in keyframes]) * _LEVER
+        changes = [np.linalg.norm(twists[group[1:]] - twists[group[0]], axis=1).max() for group in groups]
+        #: Keyframes that are laid on others, first in each, and those, the most telling ones last.
+        self._groups = [groups[i] for i in np.argsort(changes, kind="stable")[-_KEYFRAMES:].tolist()]
         self._sensor, self._clouds, self._keyframes = sensor, clouds or {}, keyframes
 
     def is_suspected(self, trajectory: Trajectory, track: OdometryTrack, significance: float = _SUSPECT) -> bool:
-        """Whether there may be a turn: what is on planes lies as these do, which it bends; that costs little to ask.
-
-        Where a body moves evenly all clouds are bent alike: those are asked between which its motion changes most.
-        """
-        if not self._groups:
-            return False
-        twists = _twists(track, [frame.stamp_ns for frame in self._keyframes]) * _LEVER
-        changes = [np.linalg.norm(twists[group[1:]] - twists[group[0]], axis=1).max() for group in self._every]
-        most = sorted(np.argsort(changes, kind="stable")[-_SUSPICIOUS:].tolist())
-        groups = [self._every[i] for i in most]
+        """Whether there may be a turn: what is on planes lies as these do, which it bends; that costs little to ask."""
+        groups = self._groups[-_SUSPICIOUS:]
         seen = {k: (self._keyframes[k].surfaces, TurnBegin()) for group in groups for k in group}
         _, gain = _look(self._views(groups, seen, trajectory, track), Turn(), ordered=False)
         return 2.0 * gain > chdtri(2, significance)

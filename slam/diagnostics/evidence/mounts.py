@@ -170,7 +170,8 @@ def turn_evidence(keyframes: Sequence[Keyframe], trajectory: Trajectory, rig: Ri
     ((name, sensor),) = sensors.items()
     if sensor.sweep_s > 0.0:
         return
-    search, track = TurnSearch(sensor, keyframes), sweeps_along(trajectory).track
+    track = sweeps_along(trajectory).track
+    search = TurnSearch(sensor, keyframes, track)
     if search.is_suspected(trajectory, track, TURN_SIGNIFICANCE):
         sentence = (
             f"what {name} saw in different directions does not fit together as if it had been seen at once: if it "

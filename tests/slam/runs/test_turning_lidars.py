@@ -79,7 +79,8 @@ def test_points_in_no_order_show_where_the_turn_begins(by_wheels):
         if isinstance(event, CloudScan)
     }
     true = given.truth.poses_at(run.trajectory.stamps_ns)
-    search, along = TurnSearch(sensor, run.slam.keyframes, clouds), replace(run.trajectory, poses=true)
+    along = replace(run.trajectory, poses=true)
+    search = TurnSearch(sensor, run.slam.keyframes, sweeps_along(along).track, clouds)
     found = search.turn(along, sweeps_along(along).track)
     assert found is not None and found.usual().seconds == 0.1
     assert min(found.start, 1.0 - found.start) < 0.03
