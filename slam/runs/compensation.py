@@ -19,9 +19,8 @@ from slam.sensors.rig import Rig, Sensor
 from slam.session.replay import ForgottenKeyframes
 from slam.tracking.turns import Turn, TurnSearch, sweeps_along
 
-#: Most lidars turn so long, s; another time must let clouds agree better by so many standard errors; and a log is
-#: mapped again so often at most.
-_FIRST_S, _SURE, _MAPS = 0.1, 3.0, 3
+#: Most lidars turn so long, s; and a log is mapped again so often at most.
+_FIRST_S, _MAPS = 0.1, 3
 
 
 class Compensated(NamedTuple):
@@ -72,11 +71,10 @@ def compensated(
         other = mapped(turn.state(sensor), slam if found is None else found.slam)
         with slam.clock.stage("turns"):
             agreement = search.agreement(turn, other.slam.trajectory, along(other.slam))
-            better = agreement - best
-            doubt = 0.0 if found is None else _SURE * float(np.std(better)) / np.sqrt(len(better))
-            if better.mean() > doubt:
+            if agreement > best:
                 found, best = other, agreement
-                shown = search.turn(other.slam.trajectory, along(other.slam))
+                more = search.left(turn, other.slam.keyframes, other.slam.trajectory, along(other.slam))
+                shown = turn._replace(seconds=turn.seconds + more)
         turn = shown and shown.usual()
     if found is not None:
         seconds = found.rig.sensors[name].sweep_s

@@ -155,11 +155,19 @@ class TurnSearch:
                 break
         return turn
 
-    def agreement(self, turn: Turn, trajectory: Trajectory, track: OdometryTrack) -> FloatArray:
-        """How close clouds come to others with a turn, 0 to 1, in the mean of their elements, shape (K,)."""
+    def left(self, turn: Turn, keyframes: Sequence[Keyframe], trajectory: Trajectory, track: OdometryTrack) -> float:
+        """Seconds of a turn that are in what keyframes saw when their clouds were taken as of that turn."""
+        groups = self._groups[-_SUSPICIOUS:]
+        seen = {k: (keyframes[k].surfaces, self._as_they_come[k][1]) for group in groups for k in group}
+        information, told = _told_by_all(self._views(groups, seen, trajectory, track), Turn())
+        once = Turn(1.0, turn.start).by_part()
+        return float(once @ told / max(float(once @ information @ once), 1e-9))
+
+    def agreement(self, turn: Turn, trajectory: Trajectory, track: OdometryTrack) -> float:
+        """How close clouds come to others with a turn, 0 to 1, in the mean of their elements."""
         laid = [_laid(views, turn) for views in self._views(self._groups, self._as_they_come, trajectory, track)]
         close = [closeness(residuals.off, own[residuals.index]).sum() / len(own) for own, _, _, residuals in laid]
-        return np.array(close)
+        return float(np.mean(close)) if close else 0.0
 
     @property
     def _numbers(self) -> list[int]:
@@ -254,10 +262,7 @@ def _look(groups: Sequence[Sequence[_View]], turn: Turn, *, ordered: bool) -> tu
 
     Of `ordered` points it begins at nought.
     """
-    information, told = np.zeros((_PARTS, _PARTS)), np.zeros(_PARTS)
-    for views in groups:
-        by_one, of_one = _told(*_laid(views, turn))
-        information, told = information + by_one, told + of_one
+    information, told = _told_by_all(groups, turn)
     if np.count_nonzero(np.diag(information)) < _PARTS:
         return turn, 0.0
     best, most, taken = turn, 0.0, turn.by_part()
@@ -271,6 +276,15 @@ def _look(groups: Sequence[Sequence[_View]], turn: Turn, *, ordered: bool) -> tu
         if gain > most:
             best, most = Turn(seconds, start), gain
     return best, most
+
+
+def _told_by_all(groups: Sequence[Sequence[_View]], turn: Turn) -> tuple[FloatArray, FloatArray]:
+    """What all groups say of the times of the parts of a turn beyond those it has, as `_told`."""
+    every = [_told(*_laid(views, turn)) for views in groups]
+    information, told = np.zeros((_PARTS, _PARTS)), np.zeros(_PARTS)
+    for by_one, of_one in every:
+        information, told = information + by_one, told + of_one
+    return information, told
 
 
 def _told(own: FloatArray, known: LocalMap, motion: FloatArray, residuals: Residuals) -> tuple[FloatArray, FloatArray]:

@@ -84,8 +84,8 @@ def test_points_in_no_order_show_where_the_turn_begins(by_wheels):
     found = search.turn(along, sweeps_along(along).track)
     assert found is not None and found.usual().seconds == 0.1
     assert min(found.start, 1.0 - found.start) < 0.03
-    none = search.agreement(Turn(), along, sweeps_along(along).track).mean()
-    assert search.agreement(found.usual(), along, sweeps_along(along).track).mean() > none
+    none = search.agreement(Turn(), along, sweeps_along(along).track)
+    assert search.agreement(found.usual(), along, sweeps_along(along).track) > none
 
 
 def test_a_session_is_of_the_run_that_is_kept(by_wheels, tmp_path):
