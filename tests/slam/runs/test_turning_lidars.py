@@ -9,6 +9,7 @@ from benchmarks.corpus.drives import Drive, Recipe, make_drive
 from benchmarks.corpus.score import score
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.mounts import turn_evidence
+from slam.frontend.odometry import OdometryTrack
 from slam.planeslam import PlaneSlam
 from slam.runs.slam_run import Run, run_slam
 from slam.sensors.log import CloudScan, Log
@@ -68,6 +69,18 @@ def test_clouds_of_one_moment_stay_as_they_are():
     run = mapped(drive("irregular/lidar16/good", 20))
     assert run.rig.sensors["lidar"].sweep_s == 0.0 and not run.log.notes
     assert not list(turn_evidence(run.slam.keyframes, run.trajectory, run.rig))
+
+
+def test_how_long_a_turn_takes_is_shown(by_wheels):
+    given, run = by_wheels
+    clouds = {event.stamp_ns: event for event in given.log.events if isinstance(event, CloudScan)}
+    along = replace(run.trajectory, poses=given.truth.poses_at(run.trajectory.stamps_ns))
+    track = OdometryTrack(given.log.odometry, given.rig.odometry)
+    search = TurnSearch(given.rig.sensors["lidar"], run.slam.keyframes, track, clouds)
+    found = search.turn(along, track)
+    assert found is not None and found.start == 0.0
+    assert found.seconds == pytest.approx(0.1, rel=0.12)
+    assert abs(search.left(Turn(0.1), run.slam.keyframes, along, track)) < 0.002
 
 
 def test_points_in_no_order_show_where_the_turn_begins(by_wheels):
