@@ -102,6 +102,7 @@ def run_slam(
     slam.clock = slam.backend.clock = clock
     with clock.stage("measure"):  # what shows the noise
         rig = with_shown_errors(log, rig)
+    done_before = len(slam.keyframes)
     _add_keyframes(slam, log, rig, config, jobs, progress)
 
     def map_again(rig: Rig, sweeps: Sweeps | None) -> PlaneSlam:
@@ -109,7 +110,8 @@ def run_slam(
         _add_keyframes(other, log, rig, config, jobs, progress, sweeps)
         return other
 
-    if (turning := compensated(slam, log, rig, map_again)) is not None:
+    has_more = len(slam.keyframes) > done_before
+    if (turning := compensated(slam, log, rig, map_again, has_more=has_more)) is not None:
         turning.slam.supersede_measured(slam, turning.rig)
         slam, rig = turning
     repairs, judged = None, None

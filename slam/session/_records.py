@@ -96,6 +96,11 @@ class SessionRecords:
         return self._state["state"] == "finished"
 
     @property
+    def is_anew(self) -> bool:
+        """Whether all that it has was measured anew when the run had ended."""
+        return self._read("session", "anew") is not None
+
+    @property
     def log(self) -> dict[str, Any] | None:
         """Where the data come from, as given to `create`."""
         return json.loads(self._read("session", "log") or b"null")

@@ -42,6 +42,8 @@ class Recorder:
         #: Where the estimator keeps its keyframes and its decisions: in memory.
         self.keyframes: list[Keyframe] | Growing[Keyframe] = []
         self.decisions: list[list[Decision]] | Growing[list[Decision]] = []
+        #: Whether what it has was measured anew when the run had ended.
+        self.is_anew = False
 
     def measured(self, index: int, keyframe: Keyframe) -> Keyframe:
         """The measurements of a keyframe, before anything is done with them; returns those to work with."""
@@ -55,6 +57,7 @@ class Recorder:
 
     def measured_anew(self, rig: Rig, keyframes: Sequence[Keyframe], decisions: Sequence[Sequence[Decision]]) -> None:
         """All that was measured and decided is this now, with another rig."""
+        self.is_anew = True
 
     def close(self) -> None:
         """Nothing more will come."""
@@ -74,7 +77,7 @@ class SessionRecorder(Recorder):
         self, session: Session, *, log: Log | None = None, raw: RawScans = "reference", forget: bool = False
     ) -> None:
         super().__init__()
-        self.session = session
+        self.session, self.is_anew = session, session.is_anew
         self._by_value, self._forget = raw == "value", forget
         self._places = {} if log is None else {id(event): place for place, event in enumerate(log.events)}
         if forget:
@@ -105,6 +108,7 @@ class SessionRecorder(Recorder):
     def measured_anew(self, rig: Rig, keyframes: Sequence[Keyframe], decisions: Sequence[Sequence[Decision]]) -> None:
         """Commit all at once."""
         self.session.measure_anew(rig, [(frame, self._scans_of(frame)) for frame in keyframes], decisions)
+        self.is_anew = True
 
     def close(self) -> None:
         """Close the session."""

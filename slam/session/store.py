@@ -166,6 +166,7 @@ class Session(SessionRecords):
         try:
             with self._writing():
                 put(self._db, "session", "rig", json.dumps(rig.to_plain()).encode())
+                put(self._db, "session", "anew", b"")
                 for table in ("decisions", "scans", "keyframes"):
                     self._db.execute(f"DELETE FROM {table}")
                 self._root = self._last = self._first_digest()

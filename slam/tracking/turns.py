@@ -129,6 +129,7 @@ class TurnSearch:
         there may be a turn, and no more is said. Those keyframes are asked between which the motion changes most.
         """
         own = [k for k, frame in enumerate(keyframes) if frame.surfaces is not None]
+        own = own if clouds is None else [k for k in own if keyframes[k].stamp_ns in clouds]
         groups = [[own[i], *(own[i - back] for back in _BEFORE if back <= i)] for i in range(1, len(own))]
         # where a body moves evenly all clouds are bent alike
         twists = _twists(track, [frame.stamp_ns for frame in keyframes]) * _LEVER

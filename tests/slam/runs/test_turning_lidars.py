@@ -115,6 +115,20 @@ def test_a_session_is_of_the_run_that_is_kept(by_wheels, tmp_path):
         assert len(session) == len(kept) and all(session.scans(index) for index in range(len(session)))
 
 
+def test_a_run_that_died_when_it_was_mapped_again_is_what_it_was(tmp_path):
+    given = drive("irregular/turning16/absent", 44)
+    path = tmp_path / "session.db"
+    Session.make(path, SlamConfig(), rig=given.rig)
+    with PlaneSlam.open(path) as slam:
+        kept = mapped(given, slam=slam).trajectory.poses
+    with Session.open(path, read_only=True) as session:
+        rig = session.rig
+    assert rig is not None and rig.sensors["lidar"].sweep_s == 0.1
+    with PlaneSlam.open(path) as slam:  # its results were never written
+        again = mapped(replace(given, rig=rig), slam=slam)
+    np.testing.assert_array_equal(again.trajectory.poses, kept)
+
+
 def test_who_keeps_nothing_in_memory_is_told(by_wheels, tmp_path):
     given, _ = by_wheels
     with PlaneSlam.open(tmp_path / "session.db", forget_raw=True) as slam:
