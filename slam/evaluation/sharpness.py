@@ -17,7 +17,7 @@ from slam.io.trajectories import Trajectory, read_tum
 from slam.sensors.log import CloudScan
 from slam.session.opening import session_path
 from slam.session.store import Session
-from slam.tracking.turns import sweeps_along
+from slam.tracking.turns import sweeps_of
 from spplanes._check import FloatArray
 
 #: Side of the cubes that points are gathered in, m.
@@ -117,8 +117,7 @@ def sharpness_of_run(run: Path, reference: Trajectory, log: Path) -> list[Metric
     if not found:
         raise LogError(log, "expected 3D scans at the times of the run's poses, found none")
     sensed = [(scans[stamps[k]], rig.sensors[scans[stamps[k]].sensor]) for k in found]
-    turning = len(found) > 2 and any(sensor.sweep_s > 0.0 for _, sensor in sensed)
-    sweeps = sweeps_along(Trajectory(stamps[found], poses[found])) if turning else None
+    sweeps = sweeps_of(Trajectory(stamps[found], poses[found]), (sensor for _, sensor in sensed))
     clouds = [lift(returns_of(scan, sensor, sweeps), sensor.body_T_sensor) for scan, sensor in sensed]
     every = max(sum(map(len, clouds)) // _ENOUGH, 1)
     return compare_sharpness([cloud[::every] for cloud in clouds], poses[found], others[found]).metrics()

@@ -52,18 +52,14 @@ class Sweeps(NamedTuple):
 
     track: OdometryTrack
     twist_covariance: FloatArray
-    """Of what the track errs by about each scan: twist in the body frame, GTSAM order (rotation, translation), (6, 6),
+    """Of what the track errs by about a scan: twist in the body frame, GTSAM order (rotation, translation), (6, 6),
     a second."""
 
     @classmethod
-    def of_wheels(cls, track: OdometryTrack, stamps_ns: Sequence[int], seconds: float) -> Sweeps:
-        """By odometry, about scans with turns of so many seconds: it errs as on the way of half of one."""
-        half_ns = round(0.5e9 * seconds)
-        steps = [
-            inverse(a) @ b
-            for a, b in zip(*(track.poses_at([t + k for t in stamps_ns]) for k in (0, half_ns)), strict=True)
-        ]
-        planar = track.noise.random_covariances([planar_delta(step) for step in steps]).mean(axis=0)
+    def of_wheels(cls, track: OdometryTrack, stamp_ns: int, seconds: float) -> Sweeps:
+        """By odometry, about a scan with a turn of so many seconds: it errs as on the way of half of one."""
+        start, end = track.poses_at([stamp_ns, stamp_ns + round(0.5e9 * seconds)])
+        (planar,) = track.noise.random_covariances([planar_delta(inverse(start) @ end)])
         twist = np.zeros((6, 6))
         twist[np.ix_(_PLANAR, _PLANAR)] = planar / (0.5 * seconds) ** 2
         return cls(track, twist)

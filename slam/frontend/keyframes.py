@@ -118,7 +118,7 @@ def _of_cloud(
     sensor, notes = rig.sensors[scan.sensor], [*late]
     with _noted(scan.stamp_ns, config, notes):
         if sweeps is None and track is not None and sensor.sweep_s > 0.0:
-            sweeps = Sweeps.of_wheels(track, [scan.stamp_ns], sensor.sweep_s)
+            sweeps = Sweeps.of_wheels(track, scan.stamp_ns, sensor.sweep_s)
         seen = measured_cloud(scan, sensor, config, segment, sweeps)
     return Keyframe(
         scan.stamp_ns,

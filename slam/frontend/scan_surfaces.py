@@ -120,6 +120,19 @@ def moved(elements: FloatArray, pose: FloatArray) -> FloatArray:
     return np.column_stack((lift(elements[:, :3], pose), elements[:, 3:6] @ pose[:3, :3].T, elements[:, 6:]))
 
 
+def velocities(points: FloatArray, twist: FloatArray) -> FloatArray:
+    """Of points (N, 3) of a body that moves by a twist (6,), GTSAM order (rotation, translation), shape (N, 3)."""
+    return twist[3:] + np.cross(twist[:3], points)
+
+
+def moved_on(elements: FloatArray, times: FloatArray, twist: FloatArray) -> FloatArray:
+    """Elements (N, 9 or more) after times (N,) in which their body moves by a twist (6,), small ones."""
+    later = elements.copy()
+    later[:, :3] += times[:, None] * velocities(elements[:, :3], twist)
+    later[:, 3:6] += times[:, None] * np.cross(twist[:3], elements[:, 3:6])
+    return later
+
+
 def _on_planes(cells: _Cells, planes: FloatArray, sensor: Sensor) -> FloatArray:
     normals, d = planes[cells.label, :3], planes[cells.label, 3]
     points = cells.mean - (np.einsum("ki,ki->k", cells.mean, normals) - d)[:, None] * normals

@@ -30,7 +30,7 @@ from slam.runs.mapping_run import MapResult
 from slam.runs.slam_run import Run
 from slam.sensors.log import CloudScan, Log
 from slam.sensors.rig import Rig
-from slam.tracking.turns import sweeps_along
+from slam.tracking.turns import sweeps_of
 from slam.visualization.mesh import Mesh, colour_of, mesh_of
 from slam.visualization.pictures import Drawn, draw_map, draw_planes, draw_uncertainty, save
 from slam.visualization.report import scene_of, write_report
@@ -143,8 +143,7 @@ def points_of_map(log: Log, rig: Rig, scans: Trajectory) -> FloatArray:
     posed = [(one, poses[stamp]) for one, stamp in zip(known, stamps, strict=True) if stamp in poses]
     most = _MOST_CLOUDS if any(isinstance(one, CloudScan) for one, _ in posed) else _MOST_SCANS
     chosen = [posed[k] for k in evenly(len(posed), most)]
-    turning = any(sensor.sweep_s > 0.0 for sensor in rig.of_kind("cloud").values())
-    sweeps = sweeps_along(scans) if turning and len(scans.stamps_ns) > 2 else None
+    sweeps = sweeps_of(scans, rig.sensors.values())
     parts = [np.empty((0, 3))]
     for scan, pose in chosen:
         sensor = rig.sensors[scan.sensor]

@@ -23,7 +23,7 @@ from slam.runs.slam_run import Progress, StageClock
 from slam.sensors.log import CloudScan, LaserScan, Log, StoredCloud
 from slam.sensors.rig import Rig, Sensor
 from slam.sensors.scan_noise import model_of
-from slam.tracking.turns import sweeps_along
+from slam.tracking.turns import sweeps_of
 from spplanes import MapperConfig, PlaneMapper
 from spplanes._check import FloatArray
 from spplanes.registration import register_scans
@@ -155,8 +155,7 @@ def _map_clouds(
     location = None if rig.localisation is None else rig.localisation.location_covariance()
     n_seen = n_represented = 0
     given = Trajectory(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), np.array(poses))
-    turning = len(scans) > 2 and any(rig.sensors[scan.sensor].sweep_s > 0.0 for scan in scans)
-    sweeps = sweeps_along(given) if turning and (np.diff(given.stamps_ns) > 0).all() else None
+    sweeps = sweeps_of(given, rig.sensors.values())
     for index, scan in enumerate(scans):
         with clock.stage("measure"):
             whole = scan.loaded() if isinstance(scan, StoredCloud) else scan

@@ -147,10 +147,9 @@ def resumed(kind: Callable[..., Slam], session: Session, recorder: SessionRecord
 def is_measured_again(session: Session, index: int, keyframe: Keyframe) -> bool:
     """Whether a keyframe measured anew is the one that was recorded, bit for bit.
 
-    Of a lidar whose turns were taken apart by the map that was made, the time alone says so.
+    Where the run was measured anew by the motion that its map had, the time alone says so.
     """
-    clouds = {} if session.rig is None else session.rig.of_kind("cloud")
-    if keyframe.motion is None and any(sensor.sweep_s > 0.0 for sensor in clouds.values()):
+    if session.is_anew and keyframe.motion is None:
         return keyframe.stamp_ns == session.keyframe(index).stamp_ns
     again, before = replace(keyframe, scans=()), replace(session.keyframe(index), places=keyframe.places)
     return encode(again) == encode(before)

@@ -12,11 +12,11 @@ import gtsam
 import numpy as np
 from scipy.special import chdtri
 
-from slam.frontend.scan_surfaces import ON_EDGE, moved
-from slam.geometry.frames import inverse
+from slam.frontend.scan_surfaces import moved_on
 from slam.registration.surface_registration import Correspondences, LocalMap, Residuals
 from slam.registration.visibility import Scan
 from slam.sensors.rig import Sensor
+from slam.tracking.turns import timed
 from spplanes._check import FloatArray
 from spplanes.clouds.turn import TurnBegin
 
@@ -41,9 +41,8 @@ class BentCloud(NamedTuple):
     @property
     def timed(self) -> FloatArray:
         """Those on surfaces, with the share of the turn at which each was seen, from its middle on, shape (N, 10)."""
-        own = self.elements[self.elements[:, 7] != ON_EDGE]
-        seen = moved(own, inverse(self.sensor.body_T_sensor))
-        return np.column_stack((own, self.begin.turned(seen[:, :3]) - 0.5))
+        own, shares = timed(self.elements, self.sensor, self.begin)
+        return np.column_stack((own, shares - 0.5))
 
 
 class Straightened(NamedTuple):
@@ -62,8 +61,8 @@ def straightened(a: BentCloud, b: BentCloud, a_T_b: FloatArray) -> Straightened 
         return None
     information = np.eye(18)
     for round_ in range(_ROUNDS):
-        local = LocalMap([(np.eye(4), Scan(_unbent(known, motions[:6]), np.zeros(3)))])
-        own = _unbent(seen, motions[6:])
+        local = LocalMap([(np.eye(4), Scan(moved_on(known, known[:, _SHARE], motions[:6]), np.zeros(3)))])
+        own = moved_on(seen, seen[:, _SHARE], motions[6:])
         pairs = Correspondences(own, local)
         reach = _REACH if round_ < _ROUNDS // 2 else _LAST_REACH
         found = Residuals.of(pairs, pose, reach * pairs.widths)
@@ -89,14 +88,6 @@ def _is_bent(information: FloatArray, told: FloatArray) -> bool:
     left = information[6:, 6:] - information[6:, :6] @ by_pose[:, :12] + _PRIOR
     score = told[6:] - information[6:, :6] @ by_pose[:, 12]
     return bool(score @ np.linalg.solve(left, score) > chdtri(12, _SIGNIFICANCE))
-
-
-def _unbent(elements: FloatArray, twist: FloatArray) -> FloatArray:
-    """Elements (N, 10) as if all had been seen in the middle of a turn in which the body moved by a twist (6,)."""
-    shares, straight = elements[:, _SHARE, None], elements.copy()
-    straight[:, :3] += shares * (twist[3:] + np.cross(twist[:3], elements[:, :3]))
-    straight[:, 3:6] += shares * np.cross(twist[:3], elements[:, 3:6])
-    return straight
 
 
 def _by_twist(elements: FloatArray, directions: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from slam.frontend.deskewing import Sweeps
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.measurement import loose_surfaces
 from slam.frontend.odometry import OdometryTrack
-from slam.frontend.scan_surfaces import ON_EDGE, moved
+from slam.frontend.scan_surfaces import ON_EDGE, moved, moved_on, velocities
 from slam.geometry.frames import inverse
 from slam.io.trajectories import Trajectory
 from slam.registration.surface_registration import Correspondences, Expected, LocalMap, Residuals, closeness
@@ -115,6 +115,24 @@ def sweeps_along(trajectory: Trajectory) -> Sweeps:
     return Sweeps(track, off_even.T @ off_even / len(off_even))
 
 
+def sweeps_of(trajectory: Trajectory, sensors: Iterable[Sensor]) -> Sweeps | None:
+    """How a body moves about its poses, for sensors that take time over a turn; None: none does, there are fewer than
+    three poses, or their times do not ascend.
+    """
+    if len(trajectory.stamps_ns) < 3 or not any(sensor.kind == "cloud" and sensor.sweep_s > 0.0 for sensor in sensors):
+        return None
+    return sweeps_along(trajectory) if (np.diff(trajectory.stamps_ns) > 0).all() else None
+
+
+def timed(elements: FloatArray, sensor: Sensor, begin: TurnBegin) -> tuple[FloatArray, FloatArray]:
+    """Of elements (N, 9) in the body frame those on surfaces, and the share of the turn at which each was seen.
+
+    Edges tell nothing: many are those of the view.
+    """
+    own = elements[elements[:, 7] != ON_EDGE]
+    return own, begin.turned(moved(own, inverse(sensor.body_T_sensor))[:, :3])
+
+
 class TurnSearch:
     """The turn that clouds of a lidar show along a trajectory."""
 
@@ -197,14 +215,14 @@ class TurnSearch:
         trajectory: Trajectory,
         track: OdometryTrack,
     ) -> list[list[_View]]:
-        """Each that is laid on others, first, and those; edges, of which many are those of the view, tell nothing."""
+        """Each that is laid on others, first, and those."""
         views, numbers = {}, list(seen)
         twists = _twists(track, [self._keyframes[k].stamp_ns for k in numbers])
         for k, twist in zip(numbers, twists, strict=True):
             elements, begin = seen[k]
-            if elements is not None and len(elements := elements[elements[:, 7] != ON_EDGE]):
-                shares = begin.turned(moved(elements, inverse(self._sensor.body_T_sensor))[:, :3])
-                views[k] = _View(elements, shares, trajectory.poses[k], twist)
+            own, shares = timed(np.empty((0, 9)) if elements is None else elements, self._sensor, begin)
+            if len(own):
+                views[k] = _View(own, shares, trajectory.poses[k], twist)
         found = [[views[k] for k in group if k in views] for group in groups if group[0] in views]
         return [group for group in found if len(group) > 1]
 
@@ -232,12 +250,10 @@ class _View(NamedTuple):
         """The elements as if they had been seen at once, in another frame, with their part of the turn and the velocity
         of the body where they are, shape (N, 13).
         """
-        times, elements = turn.times(self.shares)[:, None], self.elements.copy()
-        velocities = self.twist[3:] + np.cross(self.twist[:3], elements[:, :3])
-        elements[:, :3] += times * velocities
-        elements[:, 3:6] += times * np.cross(self.twist[:3], elements[:, 3:6])
+        elements = moved_on(self.elements, turn.times(self.shares), self.twist)
+        ahead = velocities(self.elements[:, :3], self.twist) @ known_T_body[:3, :3].T
         part = np.mod(np.floor(self.shares * _PARTS), _PARTS)
-        return moved(np.column_stack((elements, part, velocities @ known_T_body[:3, :3].T)), known_T_body)
+        return moved(np.column_stack((elements, part, ahead)), known_T_body)
 
 
 def _laid(views: Sequence[_View], turn: Turn) -> tuple[FloatArray, LocalMap, FloatArray, Residuals]:
@@ -281,9 +297,9 @@ def _look(groups: Sequence[Sequence[_View]], turn: Turn, *, ordered: bool) -> tu
 
 def _told_by_all(groups: Sequence[Sequence[_View]], turn: Turn) -> tuple[FloatArray, FloatArray]:
     """What all groups say of the times of the parts of a turn beyond those it has, as `_told`."""
-    every = [_told(*_laid(views, turn)) for views in groups]
     information, told = np.zeros((_PARTS, _PARTS)), np.zeros(_PARTS)
-    for by_one, of_one in every:
+    for views in groups:
+        by_one, of_one = _told(*_laid(views, turn))
         information, told = information + by_one, told + of_one
     return information, told
 

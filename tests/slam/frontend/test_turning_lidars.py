@@ -125,7 +125,7 @@ def test_planes_err_by_what_the_motion_within_a_turn_does():
 
 
 def test_wheels_err_within_a_turn_as_they_do():
-    sweeps = Sweeps.of_wheels(track(np.array([0.0, 0.0, 0.4, 0.5, 0.0, 0.0])), [SECOND_NS], TURN_S)
+    sweeps = Sweeps.of_wheels(track(np.array([0.0, 0.0, 0.4, 0.5, 0.0, 0.0])), SECOND_NS, TURN_S)
     half = OdometryNoise().random_covariances([(0.025, 0.0, 0.02)])[0] / 0.05**2
     planar = sweeps.twist_covariance[np.ix_([3, 4, 2], [3, 4, 2])]
     np.testing.assert_allclose(planar, half, rtol=0.01, atol=5e-5)
