@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from math import log
+from math import log, log1p
 from typing import NamedTuple
 
 import numpy as np
@@ -58,8 +58,6 @@ from spplanes._check import FloatArray
 _AS_GOOD = 2.0
 #: What a fit leaves out, whatever covariance it has, SP order.
 _LEFT_OUT = stated(np.zeros((6, 6)))
-#: Share of the steps after one that was spoken against that slip again: wheels do so for a while.
-_AGAIN = 0.5
 
 
 class Check(NamedTuple):
@@ -73,6 +71,9 @@ class Check(NamedTuple):
     """How far from where the motion leads that is, SP order along the axes there, shape (6,); None: as for it."""
     known: FloatArray | None = None
     """Covariance of that as the fit has it, without what it leaves out, shape (6, 6); None: as for it."""
+    odds: float | None = None
+    """By how many nats what it sees is likelier if wheels slipped; None: it lies where the motion leads, or nobody
+    asked."""
 
     def tells(self, motion: Motion, errors: FloatArray, significance: float) -> np.ndarray:
         """Which errors (K, 6) of a motion, SP order along the axes of its end, this scan would speak against, (K,)."""
@@ -89,7 +90,7 @@ def check(
     state: EstimatorState,
     *,
     significance: float,
-    doubted: bool,
+    again: float,
     prior: MotionPrior,
 ) -> tuple[Check, Alignment | None]:
     """Whether what a 3D scan sees speaks against a motion that was measured, and how sharply it could.
@@ -100,15 +101,15 @@ def check(
     of what it sees contradicts than fits where the motion leads, it is looked for as if nobody had measured the motion,
     and speaks against it from a place that fits clearly better and is as far off; where nothing of it was seen before
     there is nothing to say. A motion as this body makes none is asked so in any case: odometry that begins anew leads
-    to where a scan fits somehow. So is what was wrong the step before, which is as likely wrong again as not: wheels
-    that slip or stand still do so for a while. While wheels stand, the planes of two scans are where they were.
+    to where a scan fits somehow. So is what may well be wrong as the step before was: wheels that slip or stand still
+    do so for a while. While wheels stand, the planes of two scans are where they were.
 
     Args:
         keyframe, motion: what is seen, and what is known of its motion.
         otherwise: the motion had nobody measured it, as wide as a body may go of which nothing is known.
         state: the keyframes before, the landmarks as of the last refresh, and the graph.
         significance: probability that a true motion is spoken against.
-        doubted: the motion before was spoken against.
+        again: probability that wheels slip as they did the step before.
         prior: of that motion, by how steadily the body moves.
 
     Returns:
@@ -118,6 +119,7 @@ def check(
     scan = scan_of(keyframe)
     if is_poorly_known(motion) or scan is None:
         return Check(False), None
+    share, doubted = max(SLIPS, again), again > SLIPS
     before, seen = (planes_of(one.observations) for one in (state.keyframes[-1], keyframe))
     if (fit := laid_by_planes(motion, before, seen)) is not None:
         by_planes = None if doubted else planes_confirm(motion, *fit, scan.elements, significance)
@@ -141,10 +143,11 @@ def check(
     if found.score > 0.0:
         believed, fitted = _by_returns(found.information)
         rests = believed, displacement(np.eye(4), found.known_T_seen), fitted
-    enough = _clearly(motion, prior, found, _AGAIN if doubted else SLIPS)
+    odds = None
     if is_off(found):
         there = held()
-        if is_off(there) or found.log_odds(there) > enough:
+        odds = found.log_odds(there) - _spread(motion, prior, found)
+        if is_off(there) or odds > -_log_odds(share):
             return Check(True, *rests), None
         found, rests = there, (_by_returns(there.information)[0] if there.score > 0.0 else None, None, None)
     elif rests[2] is not None and not _agree(motion, found.known_T_seen, rests[2], significance):
@@ -155,26 +158,31 @@ def check(
         # a scan that slid away, as one does that is turned by half a right angle, meets nothing there that contradicts
         is_near = _agree(motion, found.known_T_seen, _LEFT_OUT, significance)
         if (found if is_near else held()).score >= 0.0:
-            return Check(False, *rests), laid
+            return Check(False, *rests, odds), laid
     matched = register_planes_globally(*planes_about(keyframe, state, expected_T_world), sigmas_of(otherwise))
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
-    enough = _clearly(motion, prior, rival, _AGAIN if doubted else SLIPS)
-    against = rival.log_odds(found) > enough and is_off(rival)
-    return Check(against, *rests), None if against else laid
+    if is_off(rival):
+        elsewhere = rival.log_odds(found) - _spread(motion, prior, rival)
+        odds = elsewhere if odds is None else max(odds, elsewhere)
+    against = odds is not None and odds > -_log_odds(share)
+    return Check(against, *rests, odds), None if against else laid
 
 
-def _clearly(motion: Motion, prior: MotionPrior, found: Alignment, share: float) -> float:
-    """By how many nats better a place has to fit than the one where a motion leads, to speak against that.
+def _log_odds(share: float) -> float:
+    return log(share) - log1p(-share)
 
-    Wheels slip now and then, and where they do the body may be anywhere that it could have gone: of so many places
-    some fit what is seen by chance. Log odds of a slip are those of the scores, less what a slip is rarer, and less
-    by how much wider it is spread.
+
+def _spread(motion: Motion, prior: MotionPrior, found: Alignment) -> float:
+    """By how many nats a place that is not where a motion leads is less likely before it was seen.
+
+    Where wheels slip the body may be anywhere that it could have gone: of so many places some fit what is seen by
+    chance.
     """
     (place, _), axes = _by_returns(found.information), free_axes(motion)
     off = displacement(inverse(motion.a_T_b) @ prior.motion.a_T_b, found.known_T_seen)
     held = -0.5 * np.log(np.diag(motion.spatial + place))
-    return float(np.sum((held - prior.log_density(off, place))[axes]) - log(share))
+    return float(np.sum((held - prior.log_density(off, place))[axes]))
 
 
 def laid_by_planes(

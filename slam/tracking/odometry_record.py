@@ -15,6 +15,9 @@ from slam.registration.relocalization import displacement
 from slam.tracking.odometry_check import Check
 from spplanes._check import FloatArray
 
+#: Share of the steps after one in which wheels slip that slip as well: they do so for a while.
+_AGAIN = 0.5
+
 
 class CheckedStep(NamedTuple):
     """A step of the odometry that a 3D scan was held against."""
@@ -47,11 +50,13 @@ class OdometryRecord:
         self._errors: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=LATE)
         self._others: deque[tuple[CheckedStep, FloatArray]] = deque(maxlen=LATE)
         self._last: tuple[CheckedStep, Motion] | None = None
+        #: Probability that wheels slipped in the last step, as they had begun to before or in it.
+        self._slipped = 0.0
 
     @property
-    def doubted(self) -> bool:
-        """Whether the last step was spoken against."""
-        return bool(self.steps) and self.steps[-1].check.against
+    def again(self) -> float:
+        """Probability that wheels slip in the next step as they did in the last."""
+        return _AGAIN * self._slipped
 
     @property
     def errors(self) -> FloatArray:
@@ -84,14 +89,16 @@ class OdometryRecord:
             scale: times its stated sigma that the motion has.
         """
         untold = self.untold(motion, check)
+        self._slipped = self._goes_on(check, len(untold))
         if check.against:
             used, known = "not", expected if self._is_nearer() else replace(guess, a_T_b=motion.a_T_b)
         elif not len(untold):
             used, known = "as stated", motion
-        elif self._is_nearer(fine := self._fine()):
-            used, known = "not", expected
         else:
-            used, known = "erring", motion.erring(untold.T @ untold / (len(self._errors) + len(fine)))
+            slips = 1.0 - (1.0 - self._slipped) * len(fine := self._fine()) / (len(self._errors) + len(fine))
+            used, known = "not", expected
+            if not self._is_nearer(slips, fine):
+                used, known = "erring", motion.erring(slips * untold.T @ untold / len(self._errors))
         self.steps.append(CheckedStep(keyframe, motion, check, used, scale))
         self._last = self.steps[-1], expected
         return known
@@ -114,10 +121,22 @@ class OdometryRecord:
         told = (step.check.tells(step.motion, errors, self.significance).mean() for step, _ in self._others)
         return [off for (_, off), share in zip(self._others, told, strict=True) if share > 0.5]
 
-    def _is_nearer(self, fine: Sequence[FloatArray] = ()) -> bool:
-        """Whether what would have been expected without them was nearer than steps spoken against, and so many fine.
+    def _goes_on(self, check: Check, untold: int) -> float:
+        """Probability that wheels slip on, by what a check says that would have left so many of the errors untold."""
+        before = self.again
+        if check.against or not before:
+            return float(check.against)
+        if check.odds is not None:
+            likelier = before * np.exp(check.odds)
+            return float(likelier / (likelier + 1.0 - before))
+        left = before * untold / max(len(self._errors), 1)
+        return left / (left + 1.0 - before)
 
-        Squares of m and of rad at a metre.
+    def _is_nearer(self, slips: float = 1.0, fine: Sequence[FloatArray] = ()) -> bool:
+        """Whether what would be expected without them is nearer than steps of which such a share slips.
+
+        Mean squares, of m and of rad at a metre.
         """
-        measured, expected = (sum(float(error[k] @ error[k]) for error in self._errors) for k in (0, 1))
-        return expected + sum(float(off @ off) for off in fine) < measured
+        measured, expected = (np.mean([error[k] @ error[k] for error in self._errors] or [0.0]) for k in (0, 1))
+        other = np.mean([off @ off for off in fine] or [0.0])
+        return bool(slips * expected + (1.0 - slips) * other < slips * measured)

@@ -270,7 +270,7 @@ class MotionModel:
             replace(guess, a_T_b=unmeasured.a_T_b),
             self._state,
             significance=record.significance,
-            doubted=record.doubted,
+            again=record.again,
             prior=prior or self.velocity_prior.prior(guess, np.diag(guess.covariance), np.zeros(6)),
         )
         if said.off is not None and said.known is not None:

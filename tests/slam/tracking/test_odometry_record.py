@@ -55,8 +55,8 @@ def test_errors_are_along_the_axes_of_the_end_and_covariances_of_motions_of_the_
 
 def test_an_assumption_that_was_nearer_takes_the_place_of_odometry_that_stands_still() -> None:
     record, expected = record_of(5, 0), replace(GUESS, a_T_b=AHEAD)
-    assert record.doubted and record.take(6, STILL, expected, GUESS, Check(False)) is expected
-    assert record.take(7, STILL, expected, GUESS, Check(True)) is expected and not record_of(0, 1).doubted
+    assert record.again and record.take(6, STILL, expected, GUESS, Check(False)) is expected
+    assert record.take(7, STILL, expected, GUESS, Check(True)) is expected and not record_of(0, 1).again
 
 
 def test_an_assumption_that_is_nearer_only_where_wheels_slip_takes_no_place_of_odometry() -> None:
@@ -85,3 +85,22 @@ def test_errors_of_the_heading_widen_the_heading() -> None:
     erring = record.take(6, STILL, expected, GUESS, Check(False))
     assert erring.covariance[2, 2] == pytest.approx(0.01, rel=1e-3)
     np.testing.assert_allclose(erring.covariance[:2, :2], STILL.covariance[:2, :2], atol=1e-12)
+
+
+def test_wheels_that_slip_go_on_slipping_until_something_tells_otherwise() -> None:
+    """Half of the steps after one slip as well, by Bayes with what each scan says; 44 fine ones say so of no other."""
+    record, expected = record_of(0, 44), replace(GUESS, a_T_b=planar_transform(-0.25, 0.0, 0.0))
+    record.take(45, STILL, expected, GUESS, Check(True, SHARP))
+    record.settle(AHEAD)
+
+    def shares(*checks: Check) -> list[float]:
+        steps = [record.take(46 + k, STILL, expected, GUESS, check) for k, check in enumerate(checks)]
+        return [float(step.covariance[0, 0]) / 0.25**2 for step in steps]
+
+    def either(goes_on: float) -> float:
+        return 1.0 - (1.0 - goes_on) * 44 / 45  # or begins anew, as one in 45 did
+
+    likelier = Check(False, NOWHERE, odds=float(np.log(3.0)))  # 1/8 before it was seen
+    found = shares(Check(False, NOWHERE), Check(False, NOWHERE), likelier, Check(False, SHARP), Check(False, NOWHERE))
+    known = [either(0.5), either(0.25), either(3.0 / 10.0), 0.0, either(0.0)]
+    np.testing.assert_allclose(found, known, atol=1e-6)
