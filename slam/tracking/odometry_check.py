@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from math import log, log1p
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.special import chdtri
+from scipy.special import chdtri, logit
 
 from factors._conventions import POSE3_TO_SP
 from factors.association.observations import planes_of
@@ -72,8 +71,8 @@ class Check(NamedTuple):
     known: FloatArray | None = None
     """Covariance of that as the fit has it, without what it leaves out, shape (6, 6); None: as for it."""
     odds: float | None = None
-    """By how many nats what it sees is likelier if wheels slipped; None: it lies where the motion leads, or nobody
-    asked."""
+    """By how many nats what it sees is likelier if wheels slipped, see `_slip_odds`; None: it lies where the motion
+    leads, or nobody asked."""
 
     def tells(self, motion: Motion, errors: FloatArray, significance: float) -> np.ndarray:
         """Which errors (K, 6) of a motion, SP order along the axes of its end, this scan would speak against, (K,)."""
@@ -146,8 +145,8 @@ def check(
     odds = None
     if is_off(found):
         there = held()
-        odds = found.log_odds(there) - _spread(motion, prior, found)
-        if is_off(there) or odds > -_log_odds(share):
+        odds = _slip_odds(found, there, motion, prior)
+        if is_off(there) or odds + logit(share) > 0.0:
             return Check(True, *rests), None
         found, rests = there, (_by_returns(there.information)[0] if there.score > 0.0 else None, None, None)
     elif rests[2] is not None and not _agree(motion, found.known_T_seen, rests[2], significance):
@@ -163,26 +162,23 @@ def check(
     expected = Expected(b_T_a @ otherwise.a_T_b, information_of(otherwise))
     rival = register_from_hypotheses(scan, known, matched, expected, b_T_a)
     if is_off(rival):
-        elsewhere = rival.log_odds(found) - _spread(motion, prior, rival)
+        elsewhere = _slip_odds(rival, found, motion, prior)
         odds = elsewhere if odds is None else max(odds, elsewhere)
-    against = odds is not None and odds > -_log_odds(share)
+    against = bool(odds is not None and odds + logit(share) > 0.0)
     return Check(against, *rests, odds), None if against else laid
 
 
-def _log_odds(share: float) -> float:
-    return log(share) - log1p(-share)
-
-
-def _spread(motion: Motion, prior: MotionPrior, found: Alignment) -> float:
-    """By how many nats a place that is not where a motion leads is less likely before it was seen.
+def _slip_odds(elsewhere: Alignment, there: Alignment, motion: Motion, prior: MotionPrior) -> float:
+    """By how many nats what is seen is likelier where wheels slipped, and the scan lies elsewhere, than where they led.
 
     Where wheels slip the body may be anywhere that it could have gone: of so many places some fit what is seen by
-    chance.
+    chance. Log odds are those of the scores, less by how much wider it is spread.
     """
-    (place, _), axes = _by_returns(found.information), free_axes(motion)
-    off = displacement(inverse(motion.a_T_b) @ prior.motion.a_T_b, found.known_T_seen)
+    (place, _), axes = _by_returns(elsewhere.information), free_axes(motion)
+    off = displacement(inverse(motion.a_T_b) @ prior.motion.a_T_b, elsewhere.known_T_seen)
     held = -0.5 * np.log(np.diag(motion.spatial + place))
-    return float(np.sum((held - prior.log_density(off, place))[axes]))
+    spread = float(np.sum((held - prior.log_density(off, place))[axes]))
+    return elsewhere.log_odds(there) - spread
 
 
 def laid_by_planes(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.special import expit, logit
 
 from slam.frontend.odometry import Motion
 from slam.frontend.steadiness import LATE
@@ -95,7 +96,8 @@ class OdometryRecord:
         elif not len(untold):
             used, known = "as stated", motion
         else:
-            slips = 1.0 - (1.0 - self._slipped) * len(fine := self._fine()) / (len(self._errors) + len(fine))
+            fine = self._fine()
+            slips = 1.0 - (1.0 - self._slipped) * len(fine) / (len(self._errors) + len(fine))
             used, known = "not", expected
             if not self._is_nearer(slips, fine):
                 used, known = "erring", motion.erring(slips * untold.T @ untold / len(self._errors))
@@ -123,14 +125,12 @@ class OdometryRecord:
 
     def _goes_on(self, check: Check, untold: int) -> float:
         """Probability that wheels slip on, by what a check says that would have left so many of the errors untold."""
-        before = self.again
-        if check.against or not before:
-            return float(check.against)
+        if check.against:
+            return 1.0
         if check.odds is not None:
-            likelier = before * np.exp(check.odds)
-            return float(likelier / (likelier + 1.0 - before))
-        left = before * untold / max(len(self._errors), 1)
-        return left / (left + 1.0 - before)
+            return float(expit(logit(self.again) + check.odds))
+        left = self.again * untold / max(len(self._errors), 1)
+        return left / (left + 1.0 - self.again)
 
     def _is_nearer(self, slips: float = 1.0, fine: Sequence[FloatArray] = ()) -> bool:
         """Whether what would be expected without them is nearer than steps of which such a share slips.
