@@ -20,7 +20,8 @@ LATE = 60
 #: How likely each of 25 factors is before a step is seen, the first of them 1: as likely that as any other.
 HALF_AT_ONE = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: Shares that are told apart of how far any body may change its velocity; before a step is seen all of it is likely.
-_SHARES = np.geomspace(1.0, 0.03, 25)
+#: The least is that of a robot that drives straight on: 6 mm and 4 mrad in half a second.
+_SHARES = np.geomspace(1.0, 0.003, 25)
 #: How often it may change as any body may, not as it usually does: it starts, stops, turns.
 _RATES = np.geomspace(0.5, 0.005, 9)
 #: Degrees of freedom of the changes, a Student's t: hands are not normal. And its density at 0 against the normal's.
@@ -70,12 +71,12 @@ class Steadiness:
         self._known: Usual | None = None  # until the next step
 
     def usual(self) -> Usual:
-        """As far as is known."""
+        """As far as is known: the mean square of the shares, for of those below the noise of its steps none is told."""
         if self._known is None:
             prior = HALF_AT_ONE[:, None, None] - np.log(len(_RATES))
             posterior = np.broadcast_to(prior, (len(_SHARES), len(_RATES), self._axes)) + sum(self._steps)
             weights = np.exp(posterior - logsumexp(posterior, axis=(0, 1)))
-            shares = np.exp(np.einsum("sra,s->a", weights, np.log(_SHARES)))
+            shares = np.sqrt(np.einsum("sra,s->a", weights, _SHARES**2))
             self._known = Usual(shares, np.einsum("sra,r->a", weights, _RATES))
         return self._known
 
