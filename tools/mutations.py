@@ -299,6 +299,11 @@ slam/evaluation/trajectories.py  tests/slam/evaluation/test_trajectories_and_pla
 -np.arctan2(cross[1, 0] - cross[0, 1],
 +np.arctan2(cross[0, 1] - cross[1, 0],
 
+association: of joint hypotheses it does not count how far a landmark was seen from what it is
+factors/association/joint_association.py  tests/factors/test_association.py -k one_wall
+-likelihood - self.gaps.away(decision.observation, chosen.candidate.landmark)
++likelihood
+
 association: the anchor's own drift counts for the pose
 factors/association/shortlist.py  tests/factors/test_association.py -k goes_on
 -np.hstack((skew(there[:3]), -np.eye(3)))

@@ -23,7 +23,8 @@ class JointHypothesis:
     decisions: list[Decision]
     """Of every observation."""
     log_likelihood: float
-    """Of all of them: of a match that of its innovation, of everything else that of another plane there."""
+    """Of all of them: of a match that of its innovation, less how far off the landmark was seen, of everything else
+    that of another plane there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,7 @@ class JointCompatibility:
             honest.condition(innovation)
             decision = replace(decision, match=innovation.candidate)
         state.condition(chosen)
-        return decision, likelihood
+        return decision, likelihood - self.gaps.away(decision.observation, chosen.candidate.landmark)
 
     def _shut_out(self, found: JointHypothesis) -> list[tuple[int, int]]:
         """Observations without a landmark that would have had one on their own, with it; four landmarks, each once."""

@@ -95,8 +95,8 @@ class Gaps:
     def away(self, index: int, landmark: int) -> float:
         """How much less likely, in nats, a landmark (its id) is for where an observation (its index) lies.
 
-        For those that have rivals, a factor of e every 0.2 m: a level laser's line half a metre below a notice-board is
-        of the wall behind the board.
+        A factor of e every 0.2 m: a level laser's line half a metre below a notice-board is of the wall behind the
+        board.
         """
         return self._near(index, landmark) / 0.2
 

@@ -20,8 +20,9 @@ LATE = 60
 #: How likely each of 25 factors is before a step is seen, the first of them 1: as likely that as any other.
 HALF_AT_ONE = np.log(np.append(0.5, np.full(24, 0.5 / 24)))
 #: Shares that are told apart of how far any body may change its velocity; before a step is seen all of it is likely.
-#: The least is that of a robot that drives straight on: 6 mm and 4 mrad in half a second.
-_SHARES = np.geomspace(1.0, 0.003, 25)
+#: The least is that of a robot that drives straight on, 2 cm and 14 mrad in half a second: axes are told by themselves,
+#: and six that nothing has ever disturbed outweigh what is seen in the step in which a body turns.
+_SHARES = np.geomspace(1.0, 0.01, 25)
 #: How often it may change as any body may, not as it usually does: it starts, stops, turns.
 _RATES = np.geomspace(0.5, 0.005, 9)
 #: Degrees of freedom of the changes, a Student's t: hands are not normal. And its density at 0 against the normal's.

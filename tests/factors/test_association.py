@@ -97,6 +97,21 @@ def test_two_walls_nearer_than_the_pose_is_known_are_told_apart_by_all_that_is_s
     assert min(one.probability for one in together) > 0.95
 
 
+def test_of_two_faces_that_may_be_one_wall_it_is_the_one_seen_where_that_is_known():
+    """A cabinet that no map has, 0.6 m before a wall and 0.3 m beside it; the pose leads between both."""
+    rng = np.random.default_rng(8)
+    place = scene(np.diag([1e-3, 1e-3, 3e-3, 0.25, 0.01, 1e-3]) ** 2, rng, (0, 2, 4))
+    place.values.update(X, gtsam.Pose3(place.truth.rotation(), place.truth.translation() + np.array([0.32, 0.0, 0.0])))
+    axis = gtsam.Pose3(place.truth.rotation(), np.zeros(3)).inverse().AdjointMap()
+    place.covariance[:6, :6] = axis @ place.covariance[:6, :6] @ axis.T  # along the world's axes
+    cabinet = replace(place.seen(5, rng), outline=box(-2.0, -0.6, -1.6, 0.6), n_points=1000)
+    wall = replace(place.seen(0, rng), n_points=10)
+    alone = associate([cabinet], place.prediction, place.landmarks).identities
+    both = associate([cabinet, wall], place.prediction, place.landmarks).identities
+    assert [one.plane_key for one in alone] == [key(0)] and [one.plane_key for one in both] == [None, key(0)]
+    assert both[1].probability > 0.5
+
+
 def test_of_two_faces_that_fit_it_is_the_one_that_was_seen_there():
     """Two doors of one front, 4 mm out of line and 3 m apart: only their extents tell which is seen."""
     values, landmarks, frame = values_of(x0=gtsam.Pose3()), LandmarkExtents(), plane_of(0).frame

@@ -33,5 +33,5 @@ def test_changes_are_as_large_as_is_said_and_where_noise_hides_them_no_larger(
     said = any_body - usual._replace(rates=np.zeros(BODIES)).less(any_body)
     mean = np.mean(share**2 / said)
     assert mean < 1.0
-    if share >= noise:
+    if share >= max(noise, 0.03):  # none is believed to be much steadier
         assert mean > 0.3
