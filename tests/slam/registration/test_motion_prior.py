@@ -119,7 +119,7 @@ def test_where_nothing_is_seen_nothing_is_learnt() -> None:
 
 @pytest.mark.parametrize("sigma", [0.02, 0.1, 0.3])
 def test_estimates_drawn_to_what_is_learnt_do_not_make_it_ever_smaller(sigma: float) -> None:
-    """Steps of one tenth, seen by scans of some noise, the largest six times theirs: more than they are is said then."""
+    """Steps of a tenth, seen by scans of some noise, the largest six times theirs: more is said of these."""
     rng, found = np.random.default_rng(7), []
     for _ in range(8):
         prior = VelocityPrior()
