@@ -17,7 +17,7 @@ def test_changes_are_as_large_as_is_said_and_where_noise_hides_them_no_larger(
 ) -> None:
     """Mean chi2 of the next usual change over the variance that is said: the said one is of a t, wider than of normals.
 
-    The mean of logarithms has 1.5 where eight steps are as noisy as the changes are large.
+    The mean of logarithms has up to 0.8, and without a least share 1.5 where steps are as noisy as changes are large.
     """
     rng = np.random.default_rng(1)
     any_body, known = np.ones(BODIES), np.full(BODIES, noise**2)
@@ -32,6 +32,6 @@ def test_changes_are_as_large_as_is_said_and_where_noise_hides_them_no_larger(
     usual = learnt.usual()
     said = any_body - usual._replace(rates=np.zeros(BODIES)).less(any_body)
     mean = np.mean(share**2 / said)
-    assert mean < 1.0
+    assert mean < 0.65
     if share >= max(noise, 0.03):  # none is believed to be much steadier
         assert mean > 0.3
