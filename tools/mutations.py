@@ -301,8 +301,8 @@ slam/evaluation/trajectories.py  tests/slam/evaluation/test_trajectories_and_pla
 
 association: of joint hypotheses it does not count how far a landmark was seen from what it is
 factors/association/joint_association.py  tests/factors/test_association.py -k one_wall
--likelihood - self.gaps.away(decision.observation, chosen.candidate.landmark)
-+likelihood
+-return candidate.log_likelihood - self.gaps.away(index, candidate.landmark)
++return candidate.log_likelihood
 
 association: the anchor's own drift counts for the pose
 factors/association/shortlist.py  tests/factors/test_association.py -k goes_on

@@ -59,6 +59,10 @@ class JointCompatibility:
         others = [self.decide_all(match) for match in self._shut_out(first)]
         return max([first, *others], key=lambda one: one.log_likelihood)  # of equals the first
 
+    def log_likelihood(self, index: int, candidate: Candidate) -> float:
+        """Of an observation (its index) under a landmark, less how far off that was seen."""
+        return candidate.log_likelihood - self.gaps.away(index, candidate.landmark)
+
     def decide_all(self, start: tuple[int, int] | None = None) -> JointHypothesis:
         """Decide everything; `start` is an observation and the landmark that it is taken for before all others."""
         state, honest = self.state.copy(), None if self.honest is None else self.honest.copy()
@@ -90,7 +94,7 @@ class JointCompatibility:
         if decision.match is None:
             return decision, chance
         chosen = next(one for one in found if one.candidate is decision.match)
-        likelihood = chosen.candidate.log_likelihood
+        likelihood = self.log_likelihood(decision.observation, chosen.candidate)
         if honest is not None:
             innovation = honest.innovation(chosen.hypothesis)
             if innovation.candidate.p_value < self.gates.significance:
@@ -98,7 +102,7 @@ class JointCompatibility:
             honest.condition(innovation)
             decision = replace(decision, match=innovation.candidate)
         state.condition(chosen)
-        return decision, likelihood - self.gaps.away(decision.observation, chosen.candidate.landmark)
+        return decision, likelihood
 
     def _shut_out(self, found: JointHypothesis) -> list[tuple[int, int]]:
         """Observations without a landmark that would have had one on their own, with it; four landmarks, each once."""

@@ -27,7 +27,8 @@ def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Poste
         Neira and Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE Trans.
         Robotics and Automation 17 (6), 2001.
     """
-    joint = _distinct([best, *(problem.decide_all(start) for start in _rivals(problem, best))])
+    gaps = _gaps(problem)
+    joint = _distinct([best, *(problem.decide_all(start) for start in _rivals(problem, best, gaps))])
     weighed = [_weigh(problem, one) for one in joint]
     logs = np.array([log_likelihood for log_likelihood, _, _ in weighed])
     kept = np.flatnonzero(logs >= logs.max() - 20.0)  # less than a billionth as likely
@@ -36,13 +37,34 @@ def posteriors(problem: JointCompatibility, best: JointHypothesis) -> list[Poste
     for weight, number in zip((weights / weights.sum()).tolist(), kept.tolist(), strict=True):
         _, matched, by_all = weighed[number]
         by_others = dict(_each_left_out(problem.state, list(matched.items())))
-        for index in range(len(found)):
-            for landmark, probability in _conditional(problem, index, by_others.get(index, by_all)).items():
+        for index, own in enumerate(gaps):
+            for landmark, probability in _conditional(problem, index, by_others.get(index, by_all), own).items():
                 found[index][landmark] = found[index].get(landmark, 0.0) + weight * probability
     return found
 
 
-def _rivals(problem: JointCompatibility, best: JointHypothesis) -> list[tuple[int, int]]:
+def _gaps(problem: JointCompatibility) -> list[dict[int, float]]:
+    """How much less likely each landmark is for where an observation lies than the nearest that passes, in nats.
+
+    An observation that may be one landmark or none is as likely of it a metre on: a wall goes on.
+    """
+    gaps = []
+    for index, hypotheses in enumerate(problem.hypotheses):
+        landmarks = [hypothesis.candidate.landmark for hypothesis in hypotheses]
+        away = {landmark: problem.gaps.away(index, landmark) for landmark in landmarks}
+        passing = [
+            away[innovation.candidate.landmark]
+            for innovation in innovations_of(hypotheses, problem.state)
+            if innovation.candidate.p_value >= problem.gates.significance
+        ]
+        least = min(passing, default=0.0)
+        gaps.append({landmark: max(one - least, 0.0) for landmark, one in away.items()})
+    return gaps
+
+
+def _rivals(
+    problem: JointCompatibility, best: JointHypothesis, gaps: Sequence[dict[int, float]]
+) -> list[tuple[int, int]]:
     """Observations and other landmarks that they could be before anything is decided, the likeliest first.
 
     At most 32: each is a scan decided anew.
@@ -52,7 +74,7 @@ def _rivals(problem: JointCompatibility, best: JointHypothesis) -> list[tuple[in
         taken, chance = best.decisions[index].landmark, problem.chances[index]
         candidates = (innovation.candidate for innovation in innovations_of(hypotheses, problem.state))
         passing = [
-            (one.log_likelihood - problem.gaps.away(index, one.landmark), one.landmark)
+            (one.log_likelihood - gaps[index][one.landmark], one.landmark)
             for one in candidates
             if one.p_value >= problem.gates.significance and one.log_likelihood >= chance
         ]
@@ -76,7 +98,7 @@ def _weigh(problem: JointCompatibility, joint: JointHypothesis) -> tuple[float, 
     for index, hypotheses in enumerate(problem.hypotheses):
         for hypothesis in (one for one in hypotheses if one.candidate.landmark == joint.decisions[index].landmark):
             innovation = state.innovation(hypothesis)
-            total += innovation.candidate.log_likelihood - problem.gaps.away(index, hypothesis.candidate.landmark)
+            total += problem.log_likelihood(index, innovation.candidate)
             state.condition(innovation)
             matched[index] = hypothesis
     for index, hypotheses in enumerate(problem.hypotheses):
@@ -99,13 +121,13 @@ def _each_left_out(state: State, matched: Sequence[tuple[int, Hypothesis]]) -> I
         yield from _each_left_out(without, inside)
 
 
-def _conditional(problem: JointCompatibility, index: int, state: State) -> Posterior:
+def _conditional(problem: JointCompatibility, index: int, state: State, gaps: dict[int, float]) -> Posterior:
     """Posterior of one observation by a state."""
     innovations = innovations_of(problem.hypotheses[index], state)
     logs: Posterior = {None: _log_none(problem, index, innovations)}
     for candidate in (innovation.candidate for innovation in innovations):
         if candidate.p_value >= problem.gates.new_significance:
-            logs[candidate.landmark] = candidate.log_likelihood - problem.gaps.away(index, candidate.landmark)
+            logs[candidate.landmark] = candidate.log_likelihood - gaps[candidate.landmark]
     most = max(logs.values())
     shares = {landmark: float(np.exp(log - most)) for landmark, log in logs.items()}
     total = sum(shares.values())

@@ -16,7 +16,18 @@ import factors
 from factors import AssociationGates, LandmarkExtents, LineObservation, PlaneObservation, Prediction, associate
 from factors.association.landmark_extents import place_all
 from spplanes import Plane, fit_plane
-from tests.factors.association_scenes import MAPPED, X, asked, drawn, frame_of, key, plane_of, scene, tangent_covariance
+from tests.factors.association_scenes import (
+    MAPPED,
+    X,
+    asked,
+    drawn,
+    frame_of,
+    key,
+    plane_of,
+    scene,
+    scene_off_ahead,
+    tangent_covariance,
+)
 from tests.factors.factor_scenes import graph_of, random_line, values_of
 
 #: A level robot whose position is known to 20 cm and whose heading to half a degree; rotation first.
@@ -83,10 +94,7 @@ def test_the_order_of_observations_and_landmarks_changes_nothing():
 def test_two_walls_nearer_than_the_pose_is_known_are_told_apart_by_all_that_is_seen():
     """A cabinet 0.6 m before a wall, and a pose 0.4 m too far back: by itself the wall is rather the cabinet."""
     rng = np.random.default_rng(5)
-    place = scene(np.diag([1e-3, 1e-3, 3e-3, 0.25, 0.01, 1e-3]) ** 2, rng, (0, 1, 5))
-    place.values.update(X, gtsam.Pose3(place.truth.rotation(), place.truth.translation() - np.array([0.4, 0.0, 0.0])))
-    axis = gtsam.Pose3(place.truth.rotation(), np.zeros(3)).inverse().AdjointMap()
-    place.covariance[:6, :6] = axis @ place.covariance[:6, :6] @ axis.T  # along the world's axes
+    place = scene_off_ahead(-0.4, rng, (0, 1, 5))
     wall = replace(place.seen(0, rng), outline=box(-2.0, -1.2, -1.0, 0.0))  # behind where the cabinet is
     [alone] = asked(place, [wall]).identities
     likeliest = max(alone.probabilities, key=lambda landmark: alone.probabilities[landmark])
@@ -100,16 +108,25 @@ def test_two_walls_nearer_than_the_pose_is_known_are_told_apart_by_all_that_is_s
 def test_of_two_faces_that_may_be_one_wall_it_is_the_one_seen_where_that_is_known():
     """A cabinet that no map has, 0.6 m before a wall and 0.3 m beside it; the pose leads between both."""
     rng = np.random.default_rng(8)
-    place = scene(np.diag([1e-3, 1e-3, 3e-3, 0.25, 0.01, 1e-3]) ** 2, rng, (0, 2, 4))
-    place.values.update(X, gtsam.Pose3(place.truth.rotation(), place.truth.translation() + np.array([0.32, 0.0, 0.0])))
-    axis = gtsam.Pose3(place.truth.rotation(), np.zeros(3)).inverse().AdjointMap()
-    place.covariance[:6, :6] = axis @ place.covariance[:6, :6] @ axis.T  # along the world's axes
+    place = scene_off_ahead(0.32, rng, (0, 2, 4))
     cabinet = replace(place.seen(5, rng), outline=box(-2.0, -0.6, -1.6, 0.6), n_points=1000)
     wall = replace(place.seen(0, rng), n_points=10)
     alone = associate([cabinet], place.prediction, place.landmarks).identities
     both = associate([cabinet, wall], place.prediction, place.landmarks).identities
     assert [one.plane_key for one in alone] == [key(0)] and [one.plane_key for one in both] == [None, key(0)]
     assert both[1].probability > 0.5
+
+
+def test_a_wall_that_goes_on_is_as_probable_however_far_on_it_is_seen():
+    found = []
+    for on_m in (0.1, 1.4):
+        rng = np.random.default_rng(1)
+        place = scene(FIRM, rng, (0, 1, 2, 3, 4))
+        piece = replace(place.seen(0, rng), outline=box(2.8 + on_m, -1.0, 3.8 + on_m, 1.0))
+        [alone] = associate([piece], place.prediction, place.landmarks).identities
+        assert alone.plane_key == key(0)
+        found.append(alone.probability)
+    assert found[0] == pytest.approx(found[1], rel=1e-3) and found[0] > 0.9
 
 
 def test_of_two_faces_that_fit_it_is_the_one_that_was_seen_there():
