@@ -326,8 +326,8 @@ slam/frontend/measurement.py  tests/slam/registration/test_scans_alone.py -k see
 
 places of a scan: one that nothing fits is as likely as one that is alike
 slam/registration/surface_registration.py  tests/slam/registration/test_scans_alone.py -k seen_in_part
--return prior - less * (_TELLING + _TELLING_AS_A_SQUARE * weight * less)
-+return prior - less * _TELLING
+-return prior - less * (TELLING + _TELLING_AS_A_SQUARE * weight * less)
++return prior - less * TELLING
 
 verdict: one motion that nobody measured makes all that follows an assumption
 slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_coverage.py -k few_short

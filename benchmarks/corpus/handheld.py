@@ -4,7 +4,8 @@ A room of one's own size with furniture about its middle, and a camera that wand
 x, y, height, heading, pitch and roll. `sparse` rooms are larger with little in them, so that some images see a wall
 and the floor and nothing else. Over a `desk` it goes to and fro along an arc and sees tables, screens, chairs and many
 small things, round ones among them. The cameras of both read depths that are false by smooth waves over the image, no
-farther than 4 m, and none where surfaces are grazed or jump, as real ones do.
+farther than 4 m, and none where surfaces are grazed or jump, as real ones do. One that is `covered` sees nothing for
+seconds, and goes on elsewhere.
 
 References:
     Nguyen, Izadi, Lovell, "Modeling Kinect Sensor Noise for Improved 3D Reconstruction and Tracking", 3DIMPVT 2012,
@@ -58,6 +59,7 @@ class _Carried:
     speed_m_per_s: float  # the highest along x or y
     turn_deg_per_s: float  # the highest
     room: Literal["furnished", "sparse", "desk"]
+    covered_s: float = 0.0  # how long in the middle nothing is seen
 
 
 #: Kinds: turning by up to 90 deg/s at 10 images a second; some 0.1 to 0.2 m and 7 deg between two images.
@@ -67,6 +69,7 @@ _KINDS = {
     "sparse_turning": _Carried(10.0, 120, 0.5, 90.0, "sparse"),
     "sparse_far": _Carried(3.0, 60, 0.5, 40.0, "sparse"),
     "desk": _Carried(10.0, 120, 0.5, 40.0, "desk"),
+    "covered": _Carried(10.0, 120, 0.5, 90.0, "furnished", covered_s=3.0),
 }
 #: Names of these drives.
 HANDHELD = [f"{HANDHELD_WORD}/{kind}" for kind in _KINDS]
@@ -80,7 +83,9 @@ def make_handheld(name: str, seed: int) -> Drive:
     rooms, ways, noise = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3))
     world = _desk(rooms) if carried.room == "desk" else _room(carried, rooms)
     poses = _poses(carried, ways)
-    stamps = START_NS + np.round(np.arange(carried.images) * 1e9 / carried.rate_hz).astype(np.int64)
+    times_s = np.arange(carried.images) / carried.rate_hz
+    seeing = np.abs(times_s - 0.5 * times_s[-1]) >= 0.5 * carried.covered_s
+    stamps, poses = START_NS + np.round(1e9 * times_s[seeing]).astype(np.int64), poses[seeing]
     camera, scans, labels = _Camera.drawn(carried, noise), [], []
     for stamp, pose in zip(stamps.tolist(), poses, strict=True):
         points, label = camera.image(world, pose @ CAMERA_MOUNT, noise)

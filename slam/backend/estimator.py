@@ -10,9 +10,10 @@ from scipy.linalg import cho_factor, get_lapack_funcs
 
 from factors.isam import tangent_turn
 from slam.backend.elimination import POSE_CODES, BackendError, Elimination, first_line, is_pose
-from slam.backend.joint_covariance import STAYS, JointCovariance, SharedUnknown
+from slam.backend.joint_covariance import STAYS, JointCovariance, SharedUnknown, carried, relative_covariance
 from slam.backend.marginalized_poses import PastPose, PastPoses
 from slam.config import BackendConfig
+from slam.geometry.frames import inverse
 from slam.timing import timed
 from spplanes._check import FloatArray
 
@@ -108,6 +109,20 @@ class Backend(Elimination):
             past = self._past.at(key)
             key, carrier_T_pose = past.base_key, past.base_T_pose @ carrier_T_pose
         return key, carrier_T_pose
+
+    def relative_pose(self, key_a: int, key_b: int, *, read: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Pose b in the frame of a, (4, 4), and its covariance, SP order along b's axes, (6, 6).
+
+        Of poses that have left the graph, by those that they move with. `read` as who looks at the map does.
+        """
+        (base_a, _), (base_b, base_T_b) = self.rigid_base(key_a), self.rigid_base(key_b)
+        a_T_b = inverse(self.pose(key_a)) @ self.pose(key_b)
+        if base_a == base_b:
+            return a_T_b, np.zeros((6, 6))
+        keys = [base_a, base_b]
+        joint = self.read_joint_covariance(keys) if read else self.joint_covariance(keys)
+        between = inverse(self.pose(base_a)) @ self.pose(base_b)
+        return a_T_b, carried(relative_covariance(between, joint.of(keys)), base_T_b)
 
     @property
     def n_left(self) -> int:

@@ -46,6 +46,12 @@ def relative_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
     return (jacobian @ joint @ jacobian.T)[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
 
 
+def carried(covariance: FloatArray, a_T_b: FloatArray) -> FloatArray:
+    """The covariance (6, 6) of a pose, SP order along its axes, as that of one fixed to it at a_T_b (4, 4)."""
+    adjoint = gtsam.Pose3(a_T_b).inverse().AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    return adjoint @ covariance @ adjoint.T
+
+
 def motion_covariance(a_T_b: FloatArray, joint: FloatArray) -> FloatArray:
     """Covariance (3, 3) of (x, y, theta) of a_T_b, x and y along a's axes, from that of both tangents (12, 12)."""
     return planar_covariance(relative_covariance(a_T_b, joint), a_T_b)

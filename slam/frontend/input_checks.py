@@ -79,9 +79,9 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int) -> Non
         name = f"keyframe.places[{number}]"
         if not 0 <= match.keyframe < index:
             raise ValueError(f"{name}.keyframe: expected an earlier keyframe, got {match.keyframe}")
-        as_shape(f"{name}.delta", match.delta, (3,))
+        as_shape(f"{name}.delta", match.delta, (6 if match.is_spatial else 3,))
         _check_near(f"{name}.delta", match.delta, _FARTHEST_M)
-        _check_covariance(f"{name}.covariance", match.covariance, (3,))
+        _check_covariance(f"{name}.covariance", match.covariance, match.delta.shape)
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:

@@ -42,12 +42,19 @@ class PlaceMatch:
     keyframe: int
     """Index of the earlier one."""
     delta: FloatArray
-    """(x, y, theta) of the later one in its frame, shape (3,), m and rad."""
+    """The later one in its frame: on a floor (x, y, theta), shape (3,), else (x, y, z, phi, theta, psi), the turn about
+    z first, shape (6,); m and rad."""
     covariance: FloatArray
-    """Its covariance, additive, x and y along the axes of the earlier one, shape (3, 3)."""
+    """Its covariance: on a floor additive, x and y along the axes of the earlier one, shape (3, 3); else SP order along
+    the axes of the later one, shape (6, 6)."""
     inferred: bool = False
     """Whether it follows from what was measured elsewhere: a hint where to look for planes seen before, no measurement
     of its own."""
+
+    @property
+    def is_spatial(self) -> bool:
+        """Whether it is of a body on no floor: its motion to there is known by this, whatever was measured of it."""
+        return len(self.delta) > 3
 
 
 #: Every kind that sessions know.

@@ -83,7 +83,7 @@ class LoopCloser:
         """
         rules, needed = self._config.loops, self._config.landmarks.min_observations
         self._ways.append(self._way())
-        given = [place for place in self._keyframes[-1].places if not place.inferred]
+        given = [place for place in self._keyframes[-1].places if not (place.inferred or place.is_spatial)]
         is_time = rules.max_candidates > 0 and self._ways[-1] - self._looked_at_m >= rules.every_m
         if not is_time and not given:
             return None

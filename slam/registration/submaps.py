@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.backend.estimator import Backend, pose_symbol
-from slam.backend.joint_covariance import motion_covariance
 from slam.config import BOUND_SIGMAS, LoopConfig
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.occupancy.raster import Raster, view_from
-from slam.frontend.odometry import difference, planar_delta
+from slam.frontend.odometry import difference, planar_covariance, planar_delta
 from slam.frontend.pose_measurements import PlaceMatch
-from slam.geometry.frames import inverse, planar_transform
+from slam.geometry.frames import planar_transform
 from slam.registration.correlative_search import PlaceView
 from spplanes._check import FloatArray
 
@@ -31,9 +30,8 @@ class PlanarPose:
     @classmethod
     def of(cls, old_key: int, key: int, backend: Backend) -> PlanarPose:
         """Where a pose is from an old one by the estimate: by the joint marginal of both."""
-        old_T_now = inverse(backend.pose(old_key)) @ backend.pose(key)
-        joint = backend.joint_covariance([old_key, key]).of([old_key, key])
-        return cls(planar_delta(old_T_now), motion_covariance(old_T_now, joint))
+        old_T_now, covariance = backend.relative_pose(old_key, key)
+        return cls(planar_delta(old_T_now), planar_covariance(covariance, old_T_now))
 
     @classmethod
     def of_all(cls, ends: Sequence[tuple[int, int]], backend: Backend) -> list[PlanarPose]:

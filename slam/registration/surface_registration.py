@@ -54,7 +54,7 @@ _CONTRADICTION = 4.0
 #: and the others at which each of 672 scans came to rest (lidars and depth cameras of 23 drives, seeds 270000 to
 #: 270032, a real hall and a real camera, as they are and made worse): the loss is 5 nats, of what the newest keyframe
 #: alone saw through 12, and 45 where what contradicts counts once. From 3 to 6 times the loss is about the same.
-_TELLING, _TELLING_AS_A_SQUARE = 18.0, 0.3
+TELLING, _TELLING_AS_A_SQUARE = 18.0, 0.3
 #: The same of each thing, of places none of which was proposed for being alike: scores differ by chance the less, the
 #: more is seen. (0.70 by 577 other scans, 0.96 by the 292 of them whose seeds had not been looked at.)
 _TELLING_OF_A_THING = 0.8
@@ -307,7 +307,7 @@ def _are_same(motion: FloatArray, other: FloatArray) -> bool:
 def _log_likelihood(less: float, weight: float, motion: FloatArray, expected: Expected | None) -> float:
     """Of a place that is so much worse than the best one, up to a constant; `weight` of what is seen."""
     prior = 0.0 if expected is None else expected.log_likelihood(motion)
-    return prior - less * (_TELLING + _TELLING_AS_A_SQUARE * weight * less)
+    return prior - less * (TELLING + _TELLING_AS_A_SQUARE * weight * less)
 
 
 class _Fit(NamedTuple):

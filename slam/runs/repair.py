@@ -23,6 +23,7 @@ from slam.joining.overlap import compare_missions
 from slam.loop_closure.whole_drive import Agreement, agreement
 from slam.planeslam import PlaneSlam
 from slam.registration.relocalization import are_one
+from slam.runs.lost_stretches import found_stretches
 from slam.sensors.rig import Rig
 from slam.session.prior_map import PriorMap
 from slam.session.replay import ForgottenKeyframes, Places
@@ -46,6 +47,8 @@ class Repair:
     """The verdict on the map before, in one line."""
     planes: int = 0
     """Planes of the prior map that the drive, mapped without it, has too, and that gave its start; 0: it was kept."""
+    stretches: int = 0
+    """Places that are of stretches which nothing tied to what was before; 0: of pairs of keyframes, as said."""
 
     @property
     def sentence(self) -> str:
@@ -54,6 +57,11 @@ class Repair:
             return (
                 f"repaired: by {self.planes} planes of the prior map that the drive alone has too, it started "
                 f"{self.offset_m:.2g} m from where that was said; before, {self.before}"
+            )
+        if self.stretches:
+            return (
+                f"repaired: {self.stretches} of the stretches that nothing tied to what was before were found there by "
+                f"scans that agree, up to {self.offset_m:.2g} m from where they lay; before, {self.before}"
             )
         return (
             f"repaired: {self.moved} of {self.places} places that the drive passed again lay up to {self.offset_m:.2g} "
@@ -81,17 +89,18 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Rep
     """The verdict on a run that has ended, and the run mended where it is not sound and the drive tells how.
 
     The other way to explain the drive is the one that all stretches of it agree on when each is held against each
-    (`slam.loop_closure.whole_drive`), for drives with level lasers on a floor; in a prior map, the start from which the
-    map of the drive alone lies on it (`slam.joining.overlap`). Where places are elsewhere by that, the keyframes are
+    (`slam.loop_closure.whole_drive`), for drives with level lasers on a floor; where stretches of 3D scans lie which
+    nothing ties to what was before (`slam.runs.lost_stretches`); in a prior map, the start from which the map of the
+    drive alone lies on it (`slam.joining.overlap`). Where places are elsewhere by that, the keyframes are
     mapped again with these known. The new map is kept where the evidence speaks less against it, and mended again.
     """
-    if not is_open_to_repair(slam) or (slam.prior is None and all(frame.returns is None for frame in slam.keyframes)):
+    if not is_open_to_repair(slam) or (slam.prior is None and not _may_tell(slam)):
         return Repaired(slam, None, ())  # what the verdict would say changes nothing: who reads it asks for it
     verdict = assessed(slam, rig)
     repairs: list[Repair] = []
     while verdict.verdict != "sound" and len(repairs) < 3:
         if slam.prior is None:
-            found = _other_places(slam, verdict)
+            found = _other_places(slam, verdict) or _other_stretches(slam, verdict)
         else:
             found = _other_start(slam, slam.prior, rig, verdict, progress)
         if found is None:
@@ -104,6 +113,11 @@ def repaired(slam: PlaneSlam, rig: Rig, progress: Progress | None = None) -> Rep
         repairs.append(found.repair)
         slam, verdict = other, judged
     return Repaired(slam, verdict, tuple(repairs))
+
+
+def _may_tell(slam: PlaneSlam) -> bool:
+    """Whether the drive may tell another place of anything: by level lasers, or by scans found by themselves."""
+    return bool(slam.unplaced or slam.rivals) or any(frame.returns is not None for frame in slam.keyframes)
 
 
 def is_open_to_repair(slam: PlaneSlam) -> bool:
@@ -126,6 +140,16 @@ def _other_places(slam: PlaneSlam, verdict: Verdict) -> _Alternative | None:
         return None
     repair = Repair(len(found.proposals), moved, float(found.offsets_m.max()), verdict.line)
     return _Alternative(_places_of(found, slam.keyframes), None, repair)
+
+
+def _other_stretches(slam: PlaneSlam, verdict: Verdict) -> _Alternative | None:
+    """Where stretches lie that nothing ties to what was before, and that scans find there."""
+    found = found_stretches(slam, verdict)
+    if not found:
+        return None
+    farthest = max(one.offset_m for one in found)
+    repair = Repair(len(found), len(found), farthest, verdict.line, stretches=len(found))
+    return _Alternative({one.start: (one.match,) for one in found}, None, repair)
 
 
 def _other_start(

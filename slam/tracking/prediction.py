@@ -11,11 +11,12 @@ from scipy.special import chdtri
 
 from factors import constant_velocity_factor, pose_prior
 from slam.backend.estimator import pose_symbol
-from slam.backend.joint_covariance import motion_covariance, relative_covariance
+from slam.backend.joint_covariance import carried, motion_covariance, relative_covariance
 from slam.config import BOUND_SIGMAS, CoastingConfig
 from slam.frontend.information import information_beyond_lines, inverted
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import NO_FLOOR, Motion, difference, planar_delta
+from slam.frontend.pose_measurements import PlaceMatch
 from slam.frontend.wheel_calibration import WheelCalibration
 from slam.geometry.frames import inverse, orthonormal, planar_transform
 from slam.map.sparsification import Link
@@ -39,6 +40,7 @@ from slam.tracking.odometry_check import check
 from slam.tracking.odometry_record import OdometryRecord
 from slam.tracking.odometry_scale import OdometryScale, scaled
 from spplanes._check import FloatArray
+from spplanes.spmodel import transform_from_rpy
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +123,21 @@ class MotionModel:
         self._expected: tuple[MotionPrior, Motion | None] | None = None
         self._by_graph = CalibrationByGraph(self._sparsifier, self._backend, self.calibration)
 
+    def stretch_of(self, keyframe: int) -> int:
+        """The first keyframe of the stretch that one is in: of a scan that fits nowhere begins another.
+
+        Where it lies in what was before is known by nothing: planes of the two would be taken for one by chance, and by
+        a few of these the body is anywhere.
+        """
+        before = [start for start in self.unplaced if start <= keyframe]
+        return before[-1] if before else 0
+
     def predict(self, keyframe: Keyframe) -> Prediction:
         """Put the pose of a new keyframe into the graph, where others may leave it."""
         index = len(self._keyframes)
+        known = next((place for place in keyframe.places if place.is_spatial), None)
+        if known is not None:
+            keyframe = replace(keyframe, motion=self._motion_by(known))
         step = self._start(keyframe) if index == 0 else self._step(keyframe, index)
         key, initial = pose_symbol(index), gtsam.Values()
         initial.insert(key, gtsam.Pose3(orthonormal(step.world_T_body)))
@@ -156,6 +170,14 @@ class MotionModel:
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
             hints=tuple(own[n_stay:]),
         )
+
+    def _motion_by(self, known: PlaceMatch) -> Motion:
+        """The motion to a keyframe from the last one, by where it is from one before."""
+        there, last = pose_symbol(known.keyframe), pose_symbol(len(self._keyframes) - 1)
+        last_T_there, spread = self._backend.relative_pose(last, there)
+        there_T_new = transform_from_rpy(known.delta)
+        covariance = carried(spread, there_T_new) + known.covariance
+        return Motion(last_T_there @ there_T_new, 0.5 * (covariance + covariance.T), NO_FLOOR)
 
     def _hints(self, keyframe: Keyframe, world_T_body: FloatArray, key: int) -> list[Any]:
         """Factors of where a keyframe is known to be from earlier ones, where the prediction says otherwise.

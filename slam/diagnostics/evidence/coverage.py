@@ -152,11 +152,13 @@ def ambiguity_evidence(run: PlaneSlam) -> Iterator[Evidence]:
         frame for frame, rival in run.rivals.items() if rival.probability > (1.0 - right) / (2.0 * len(run.rivals))
     ]
     worst = max(likely, key=lambda frame: run.rivals[frame].probability)
-    _, distance_m, angle_rad = run.rivals[worst]
+    probability, distance_m, angle_rad, unseen = run.rivals[worst]
     other = f"{distance_m:.1f} m and {np.rad2deg(angle_rad):.0f} deg off at {named((worst,))}"
+    fits = f"fits other places nearly as well, {other}"
+    if 2.0 * unseen > probability:
+        fits = "fits where it was placed no better than it would by chance"
     sentence = (
-        f"what was seen at {named(likely)} fits other places nearly as well, {other}: "
-        f"with probability {1.0 - right:.2f} one of those chosen is wrong"
+        f"what was seen at {named(likely)} {fits}: with probability {1.0 - right:.2f} one of those chosen is wrong"
     )
     yield Evidence("ambiguity", "doubtful", 0.0, 1.0 - right, "probability", tuple(likely), sentence)
 

@@ -9,11 +9,21 @@ from scipy.stats import chi2
 
 from slam.config import SlamConfig
 from slam.frontend.keyframes import keyframes_of
+from slam.frontend.odometry import NO_FLOOR, Motion
 from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import negative_log_prior
-from slam.registration.relocalization import NO_RIVALS, _on, _rivals, register_from_hypotheses, scan_of
+from slam.registration.relocalization import (
+    _BY_CHANCE,
+    NO_RIVALS,
+    _may_be_unseen,
+    _on,
+    _rivals,
+    register_from_hypotheses,
+    scan_of,
+)
 from slam.registration.surface_registration import (
+    TELLING,
     Correspondences,
     Expected,
     LocalMap,
@@ -335,7 +345,25 @@ def test_rivals_are_other_places_and_each_counts_once() -> None:
     first, best = found.tried[0], found.tried[0].log_likelihood
     off = [Tried(ahead(metres), best - np.log(4.0)) for metres in (5.0, 5.001)] + [Tried(ahead(0.0, 3.0), -np.inf)]
     near, covariance = Tried(ahead(0.01), best - 0.1), np.diag(np.repeat([0.02, 0.004], 3) ** 2)
-    assert _rivals(replace(found, tried=(first, near, *off)), covariance) == pytest.approx((0.2, 5.0, 0.0), abs=1e-6)
+    tried = replace(found, tried=(first, near, *off))
+    assert _rivals(tried, covariance, 0.0) == pytest.approx((0.2, 5.0, 0.0, 0.0), abs=1e-6)
     wide = np.diag([9.0, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # along an open direction a place is one, however long
-    assert _rivals(replace(found, tried=(first, near, *off)), wide).probability == 0.0
-    assert _rivals(replace(found, tried=(first, near)), covariance) == NO_RIVALS
+    assert _rivals(tried, wide, 0.0).probability == 0.0
+    assert _rivals(replace(found, tried=(first, near)), covariance, 0.0) == NO_RIVALS
+    # as likely as not that none of it was seen before, and it fits as it would by chance, or half a nat better
+    for score, odds in ((_BY_CHANCE, 1.0), (_BY_CHANCE + np.log(2.0) / TELLING, 0.5)):
+        alone = replace(found, tried=(first,), score=score)
+        assert _rivals(alone, covariance, 1.0).unseen == pytest.approx(odds / (1.0 + odds))
+        assert _rivals(replace(tried, score=score), covariance, 1.0) == pytest.approx(
+            ((0.25 + odds) / (1.25 + odds), 5.0, 0.0, odds / (1.25 + odds)), abs=1e-6
+        )
+
+
+def test_what_was_never_seen_may_be_seen_where_a_body_may_be_beyond_what_it_sees() -> None:
+    elements = np.zeros((3, 9))
+    elements[:, 0] = 1.0, 3.0, 50.0  # half of it 3 m away or nearer
+    odds = [
+        _may_be_unseen(elements, Motion(np.eye(4), np.diag([sigma**2] * 3 + [1.0] * 3), NO_FLOOR))
+        for sigma in (1.0, 3.0, 30.0)
+    ]
+    np.testing.assert_allclose(odds, [0.0027 / 0.9973, 0.3173 / 0.6827, 0.9203 / 0.0797], rtol=1e-3, atol=0.0)

@@ -1,0 +1,179 @@
+"""Stretches of a drive that nothing ties to what was before: their scans are laid on those of before, anywhere.
+
+A camera that saw nothing for seconds, or a wall alone, goes on in a map of its own. What it sees then it has seen from
+elsewhere, or some of it in a while: any scan of the stretch may tell where it is, laid on any scan of before as two
+clouds are (`slam.runs.scan_pairs`), with no more of a guess than that it stands upright. One pair may tell little, and
+be wrong: where pairs agree, all planes and lines of sight of both parts are asked, as of two clouds.
+
+References:
+    Mangelson et al., "Pairwise consistent measurement set maximization", ICRA 2018, for the agreement that is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from factors._conventions import SP_TO_POSE3
+from factors.association.observations import PlaneObservation
+from slam.backend.estimator import pose_symbol
+from slam.backend.joint_covariance import carried
+from slam.diagnostics.evidence.registration import CloudMatch, judge
+from slam.diagnostics.verdict import Verdict
+from slam.diagnostics.views import ScanView, compare
+from slam.frontend.pose_measurements import PlaceMatch
+from slam.geometry.frames import inverse
+from slam.planeslam import PlaneSlam
+from slam.registration._plane_arrays import PlaneArrays
+from slam.registration.plane_registration import pairs_under
+from slam.registration.relocalization import scan_of, stated
+from slam.runs.scan_pairs import Place, are_near, find_place, refined
+from spplanes import Plane
+from spplanes._check import FloatArray
+from spplanes.spmodel import rpy_from_transform
+
+#: So many scans of a stretch, and so many of what was before, are laid on each other, at most.
+_SCANS = 6
+#: So many pairs of scans for all stretches together; where that leaves no two of each, a drive is lost too often.
+_PAIRS = 48
+#: What is known of a place when it is judged before it is refined: it is where it was found.
+_AS_FOUND = 1e-6 * np.eye(6)
+
+
+class FoundStretch(NamedTuple):
+    """A stretch of a drive that was found in what was before."""
+
+    start: int
+    """Its first keyframe."""
+    match: PlaceMatch
+    """Where that is from an earlier one."""
+    offset_m: float
+    """How far the map has it from there."""
+
+
+def found_stretches(slam: PlaneSlam, verdict: Verdict) -> list[FoundStretch]:
+    """The stretches that begin where a verdict doubts how a scan was placed, and that are found in what was before."""
+    starts = [*_lost(slam, verdict), len(slam.keyframes)]
+    scans = min(isqrt(_PAIRS // max(len(starts) - 1, 1)), _SCANS)
+    if scans < 2:
+        return []
+    poses, before = slam.trajectory.poses.copy(), list(range(starts[0]))
+    found: list[FoundStretch] = []
+    for start, end in pairwise(starts):
+        stretch = range(start, end)
+        parts = (_Part.of(slam, poses, frames, scans) for frames in (before, stretch))
+        laid = _found(slam, *parts, poses[start])
+        match = None if laid is None else _match(slam, laid, start)
+        if laid is None or match is None:
+            continue  # nothing of it tells where what comes after is
+        off = inverse(poses[start]) @ laid.world_T_start
+        found.append(FoundStretch(start, match, float(np.linalg.norm(off[:3, 3]))))
+        poses[start:end] = laid.shift @ poses[start:end]
+        before += stretch
+    return found
+
+
+def _lost(slam: PlaneSlam, verdict: Verdict) -> list[int]:
+    """Keyframes whose scan fits nowhere, or other places nearly as well, ascending: a map of its own begins there."""
+    unsure = (one.keyframes for one in verdict.evidence if one.kind == "ambiguity")
+    return sorted({*slam.unplaced, *(frame for frames in unsure for frame in frames)} - {0})
+
+
+class _Laid(NamedTuple):
+    """A scan of a stretch laid on one of before."""
+
+    old: int
+    new: int
+    place: Place
+    shift: FloatArray
+    """Takes the stretch from where the map has it to there, shape (4, 4)."""
+    world_T_start: FloatArray
+    """Where it begins then, shape (4, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A part of a drive, whose poses hang together."""
+
+    frames: dict[int, FloatArray]
+    """A few of its keyframes that have a 3D scan, evenly over all of them, with world_T_body (4, 4)."""
+    planes: PlaneArrays
+    """What it saw, of every landmark the largest piece, in the world by its poses."""
+
+    @classmethod
+    def of(cls, slam: PlaneSlam, poses: FloatArray, frames: Sequence[int], scans: int) -> _Part:
+        """Keyframes of a run, at poses (N, 4, 4) of all its keyframes, and so many scans of theirs."""
+        seeing = [frame for frame in frames if scan_of(slam.keyframes[frame]) is not None]
+        few = np.unique(np.linspace(0, len(seeing) - 1, scans).round().astype(int)).tolist() if seeing else []
+        mine, planes = set(frames), list[Plane]()
+        for landmark in slam.landmarks:
+            seen = [(one.keyframe, one.observation) for one in landmark.sightings if one.keyframe in mine]
+            pieces = [(frame, slam.keyframes[frame].observations[number]) for frame, number in seen]
+            of_planes = [(one.n_points, frame, one.plane) for frame, one in pieces if isinstance(one, PlaneObservation)]
+            if of_planes:
+                _, frame, plane = max(of_planes, key=lambda one: one[0])
+                planes.append(plane.transform(poses[frame]))
+        return cls({seeing[k]: poses[seeing[k]] for k in few}, PlaneArrays.of(planes))
+
+
+def _found(slam: PlaneSlam, before: _Part, stretch: _Part, world_T_start: FloatArray) -> _Laid | None:
+    """The pair of scans that says best where a stretch is, of those that agree; None: no place is beyond doubt."""
+    groups: list[list[_Laid]] = []  # by the place at which they have it
+    n = max(len(before.frames), len(stretch.frames))
+    olds, news = (list(part.frames.items()) for part in (before, stretch))
+    turns = ((i, (i + step) % n) for step in range(n) for i in range(n))
+    for i, j in ((i, j) for i, j in turns if i < len(olds) and j < len(news)):
+        (old, world_T_old), (new, world_T_new) = olds[i], news[j]
+        place = find_place(slam.keyframes[old], slam.keyframes[new])
+        if place is None:
+            continue
+        shift = world_T_old @ place.a_T_b @ inverse(world_T_new)
+        laid = _Laid(old, new, place, shift, shift @ world_T_start)
+        group = next((some for some in groups if are_near(some[0].world_T_start, laid.world_T_start)), None)
+        if group is None:
+            groups.append([laid])
+            continue
+        group.append(laid)
+        best = max(group, key=lambda one: one.place.overlap)
+        others = [some[0].shift for some in groups if some is not group]
+        if _is_beyond_doubt(slam, before, stretch, best, others):
+            return best
+    return None
+
+
+def _is_beyond_doubt(slam: PlaneSlam, before: _Part, stretch: _Part, laid: _Laid, others: Sequence[FloatArray]) -> bool:
+    """Whether all that both parts saw bears out where a stretch was laid, as of two clouds; `others`: other shifts."""
+    matched = []
+    for shift in (laid.shift, *others):
+        pairs = pairs_under(shift, stretch.planes, before.planes)
+        matched.append(min(len({i for i, _ in pairs}), len({j for _, j in pairs})))
+    there = {frame: laid.shift @ pose for frame, pose in stretch.frames.items()}
+    looks = np.zeros((2, 2), dtype=int)
+    for frame, here in _views(slam, there).items():
+        for old, seen in _views(slam, before.frames).items():
+            old_T_new = inverse(before.frames[old]) @ there[frame]
+            looks += (compare(seen, here, old_T_new), compare(here, seen, inverse(old_T_new)))
+    first, second = ((int(confirmed), int(through)) for confirmed, through in looks)
+    match = CloudMatch(len(stretch.planes.normals), matched[0], tuple(matched[1:]), (first, second), 0.0)
+    return judge(match, _AS_FOUND).verdict == "sound"
+
+
+def _views(slam: PlaneSlam, poses: dict[int, FloatArray]) -> dict[int, ScanView]:
+    """What keyframes at poses (4, 4) saw."""
+    scans = ((frame, scan_of(slam.keyframes[frame])) for frame in poses)
+    return {frame: ScanView(scan, poses[frame][2, :3]) for frame, scan in scans if scan is not None}
+
+
+def _match(slam: PlaneSlam, laid: _Laid, start: int) -> PlaceMatch | None:
+    """Where the first keyframe of a stretch is, by a pair of scans and the way between; None: no plane is in both."""
+    fit = refined(slam.keyframes[laid.old], slam.keyframes[laid.new], laid.place)
+    if fit is None:
+        return None
+    new_T_start, spread = slam.backend.relative_pose(pose_symbol(laid.new), pose_symbol(start), read=True)
+    covariance = (carried(fit.covariance, new_T_start) + spread)[np.ix_(SP_TO_POSE3, SP_TO_POSE3)]
+    return PlaceMatch(laid.old, rpy_from_transform(fit.a_T_b @ new_T_start), stated(covariance))
