@@ -175,18 +175,16 @@ class PlaneSlam:
         """Which landmark each observation is of, told apart by all returns where there are any."""
         motion = None if prediction.motion is None else prediction.motion.scan_matched
         hint = None if motion is None else Hint(pose_symbol(prediction.index - 1), motion)
-        known = {"trusted": prediction.trusted, "among": self._of_stretch(prediction.index)}
+        known = {"trusted": prediction.trusted, "among": self._of_stretch(prediction)}
         rules = self.config.association
         return self._associate(
             keyframe.observations, prediction.pose_key, self.landmarks, self.backend, rules, hint, **known
         )
 
-    def _of_stretch(self, keyframe: int) -> set[int] | None:
+    def _of_stretch(self, prediction: Prediction) -> set[int] | None:
         """The landmarks seen in the stretch that a keyframe is in, None: all; see `MotionModel.stretch_of`."""
-        start = self._motion_model.stretch_of(keyframe)
-        if start == 0 or self.prior is not None:
-            return None
-        return {one.id for one in self.landmarks if one.was_seen_between(start, keyframe)}
+        start, last = prediction.since, prediction.index
+        return {one.id for one in self.landmarks if one.was_seen_between(start, last)} if start else None
 
     @timed("update")
     def _update(self, keyframe: Keyframe, prediction: Prediction, decisions: list[Decision]) -> set[int]:
@@ -229,8 +227,7 @@ class PlaneSlam:
 
     def _may_be_told(self, *ids: int) -> bool:
         """Whether it is known where landmarks, by id, lie to each other: they are of one stretch."""
-        starts = {self._motion_model.stretch_of(self.landmarks[one].first_keyframe) for one in ids}
-        return len(starts) == 1 or self.prior is not None
+        return len({self._motion_model.stretch_of(self.landmarks[one].first_keyframe) for one in ids}) == 1
 
     @timed("loops")
     def _close_loops(self) -> None:

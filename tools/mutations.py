@@ -329,6 +329,26 @@ slam/registration/surface_registration.py  tests/slam/registration/test_scans_al
 -return prior - less * (TELLING + _TELLING_AS_A_SQUARE * weight * less)
 +return prior - less * TELLING
 
+lost stretches: where pairs of scans agree nothing else is asked
+slam/runs/lost_stretches.py  tests/slam/runs/test_lost_stretches.py -k another_room
+-return judge(match, _AS_FOUND).verdict == "sound"
++return True
+
+lost stretches: their planes are matched to any of before
+slam/planeslam.py  tests/slam/runs/test_lost_stretches.py -k not_matched
+-if start else None
++if False else None
+
+places of a scan: it was seen before in any case
+slam/registration/relocalization.py  tests/slam/registration/test_surface_registration.py -k rivals_are_other
+-by_chance = unseen * float(
++by_chance = 0.0 * float(
+
+sensors that hang: a scan to the last bit as before is a new one
+slam/frontend/input_checks.py  tests/slam/runs/test_bad_input.py -k hangs
+-or not np.array_equal(surfaces, seen)
++or True
+
 verdict: one motion that nobody measured makes all that follows an assumption
 slam/diagnostics/evidence/coverage.py  tests/slam/diagnostics/evidence/test_coverage.py -k few_short
 -if total > PROMISED_M:

@@ -1,8 +1,9 @@
-"""Input checks: keyframes that cannot be one, sensors that fall silent."""
+"""Input checks: keyframes that cannot be one, sensors that fall silent, 3D sensors that hang."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -11,6 +12,7 @@ from factors.association.observations import Observation, PlaneObservation
 from slam._field_types import check_fields
 from slam.frontend.keyframes import Keyframe
 from slam.frontend.odometry import Motion
+from slam.geometry.frames import are_apart
 from slam.sensors.log import Log
 from slam.sensors.rig import Rig
 from spplanes._check import FloatArray, as_shape, as_transform, check_instance
@@ -82,6 +84,24 @@ def _check_keyframe(keyframe: Keyframe, after_ns: int | None, index: int) -> Non
         as_shape(f"{name}.delta", match.delta, (6 if match.is_spatial else 3,))
         _check_near(f"{name}.delta", match.delta, _FARTHEST_M)
         _check_covariance(f"{name}.covariance", match.covariance, match.delta.shape)
+
+
+def without_repetitions(keyframes: Iterable[Keyframe]) -> Iterator[Keyframe]:
+    """Keyframes, with a note for a 3D scan that is the one before to the last bit though wheels have moved on.
+
+    The sensor hangs: noise repeats nothing. (2D scans are left out as a log is read, `slam.io.plausibility`. Of a lidar
+    whose clouds are unbent no scan is the one before.)
+    """
+    seen, way = np.empty((0, 9)), np.eye(4)
+    for keyframe in keyframes:
+        way = way if keyframe.motion is None else way @ keyframe.motion.a_T_b
+        surfaces = keyframe.surfaces
+        if surfaces is None or not len(surfaces) or not np.array_equal(surfaces, seen):
+            seen, way = (seen, way) if surfaces is None else (surfaces, np.eye(4))
+        elif keyframe.motion is not None and are_apart(np.eye(4), way, metres=0.05, radians=0.05):
+            problem = f"at {keyframe.stamp_ns * 1e-9:.3f} s: the scan before, to the last bit, while the wheels moved"
+            keyframe = replace(keyframe, observations=[], surfaces=None, notes=(*keyframe.notes, problem))
+        yield keyframe
 
 
 def check_extent(name: str, frame: FloatArray, outline: BaseGeometry | None) -> None:

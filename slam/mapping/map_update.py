@@ -96,6 +96,8 @@ class MapUpdater:
             if decision.match is not None
         ]
         anchor = self._sparsifier.anchor(at, self._config.landmarks.anchor_every)
+        if anchor < prediction.since:
+            anchor = max(at - 1, prediction.since)  # where it is from any before is not known
         numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
         births = self._births(seen, numbers, pose_symbol(anchor), pose_key, initial)
         if births:
@@ -105,7 +107,7 @@ class MapUpdater:
         leaves = self._sparsifier.judge(at, matched, factors, may_leave=not births)
         insertions += births
         used = {insertion.number for insertion in insertions}
-        self._let_wait(at, seen, [] if leaves else [i for i in range(len(seen)) if i not in used])
+        self._let_wait(at, seen, [] if leaves else [i for i in range(len(seen)) if i not in used], prediction.since)
         factors = [*(one.factor for one in insertions), *prediction.pending, *self._beyond_lines(prediction, matched)]
         if not factors:
             if prediction.hints:
@@ -179,8 +181,11 @@ class MapUpdater:
                 insertions.append(Insertion(landmark, observations[member], numbers[member], factor, plane_T_body))
         return insertions
 
-    def _let_wait(self, index: int, seen: Sequence[Observation], numbers: Iterable[int]) -> None:
-        """Let observations (`numbers`) of keyframe `index` wait; forget those that have waited long enough."""
+    def _let_wait(self, index: int, seen: Sequence[Observation], numbers: Iterable[int], since: int) -> None:
+        """Let observations (`numbers`) of keyframe `index` wait; forget those that have waited long enough.
+
+        And those of keyframes before `since`, the first of the stretch that it is in.
+        """
         rules = self._config.landmarks
         planes = [
             number
@@ -189,7 +194,7 @@ class MapUpdater:
         ]
         if planes:
             self._waiting[index] = planes
-        for old in [old for old in self._waiting if old <= index - rules.waiting_keyframes]:
+        for old in [old for old in self._waiting if old < since or old <= index - rules.waiting_keyframes]:
             del self._waiting[old]
 
     def _matches_of_waiting(self, born: set[int], at: int) -> list[LateMatch]:

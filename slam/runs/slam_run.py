@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from slam.config import SlamConfig
 from slam.diagnostics.verdict import Verdict
 from slam.frontend.deskewing import Sweeps
-from slam.frontend.input_checks import KeyframeError
+from slam.frontend.input_checks import KeyframeError, without_repetitions
 from slam.frontend.keyframes import count_keyframes, keyframes_of
 from slam.frontend.range_noise import with_shown_errors
 from slam.io.plausibility import check_events
@@ -145,7 +145,8 @@ def _add_keyframes(
     with clock.stage("measure"):  # laser odometry, which says where keyframes are
         total = count_keyframes(log, rig, config)
     how = {"segment": slam.segment, "jobs": jobs, "sweeps": sweeps}
-    with closing(keyframes_of(log, rig, config, done_before, **how)) as frames:
+    with closing(keyframes_of(log, rig, config, done_before, **how)) as measured:
+        frames = without_repetitions(measured)
         for done in range(done_before, total):
             with clock.stage("measure"):
                 keyframe = next(frames)

@@ -91,6 +91,8 @@ class Prediction:
     """Robust kernel on what is matched from here: of a place that the planes had to find some of it is wrong."""
     hints: tuple[int, ...] = ()
     """Indices of factors that say where to look, and leave the graph when it has been looked."""
+    since: int = 0
+    """The first keyframe of the stretch of the drive that it is in; see `MotionModel.stretch_of`."""
 
     @property
     def trusted(self) -> frozenset[int] | None:
@@ -124,11 +126,13 @@ class MotionModel:
         self._by_graph = CalibrationByGraph(self._sparsifier, self._backend, self.calibration)
 
     def stretch_of(self, keyframe: int) -> int:
-        """The first keyframe of the stretch that one is in: of a scan that fits nowhere begins another.
+        """The first keyframe of the stretch that one is in: with a scan that fits nowhere another begins.
 
-        Where it lies in what was before is known by nothing: planes of the two would be taken for one by chance, and by
-        a few of these the body is anywhere.
+        Where that lies in what was before is known by nothing: planes of the two would be taken for one by chance, and
+        by a few of these the body is anywhere. A prior map it may be found in.
         """
+        if self._known_start is not None:
+            return 0
         before = [start for start in self.unplaced if start <= keyframe]
         return before[-1] if before else 0
 
@@ -169,6 +173,7 @@ class MotionModel:
             planes_asked=step.planes_asked,
             robust=(self._config.coasting.robust if step.pending else None) or self._config.backend.robust,
             hints=tuple(own[n_stay:]),
+            since=self.stretch_of(index),
         )
 
     def _motion_by(self, known: PlaceMatch) -> Motion:

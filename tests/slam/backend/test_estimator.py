@@ -11,8 +11,11 @@ from factors import pose_prior, relative_pose_factor
 from slam.backend import estimator
 from slam.backend.elimination import _ALL_EVERY
 from slam.backend.estimator import Backend, BackendError, pose_symbol
+from slam.backend.joint_covariance import carried
 from slam.config import SlamConfig
 from slam.geometry.frames import planar_transform
+from slam.registration.relocalization import displacement
+from spplanes.spmodel import transform_from_rpy
 from tests.factors.factor_scenes import graph_of, values_of
 from tests.slam.short_drives import mapped_beginning
 
@@ -168,3 +171,26 @@ def test_what_is_in_use_is_relinearised_at_once_and_the_rest_of_the_way_soon():
     for _ in range(_ALL_EVERY):
         backend.update([pose_prior(keys[-1], there, 1e2 * sigmas)], gtsam.Values())
     assert off(15) < 1e-3
+
+
+def test_where_a_pose_is_from_another_is_as_sure_as_what_lies_between() -> None:
+    """However unsure both are in the world; and of one fixed to it, by perturbing it."""
+    rng = np.random.default_rng(3)
+    step = gtsam.Pose3.Expmap(rng.normal(0.0, 0.5, 6)).matrix()
+    covariance = np.cov(rng.normal(0.0, 0.01, (6, 20)))
+    backend = Backend(SlamConfig().backend)
+    initial = gtsam.Values()
+    for index in range(2):
+        initial.insert(pose_symbol(index), gtsam.Pose3(np.linalg.matrix_power(step, index)))
+    first, second = pose_symbol(0), pose_symbol(1)
+    prior, between = pose_prior(first, np.eye(4), np.eye(6)), relative_pose_factor(first, second, step, covariance)
+    backend.update([prior, between], initial)
+    for read in (False, True):
+        found, spread = backend.relative_pose(first, second, read=read)
+        np.testing.assert_allclose(found, step, atol=1e-9)
+        np.testing.assert_allclose(spread, covariance, atol=1e-6 * covariance.max())
+    fixed = gtsam.Pose3.Expmap(rng.normal(0.0, 1.0, 6)).matrix()
+    errors = np.linalg.cholesky(covariance) @ (1e-4 * np.eye(6))
+    moved = [transform_from_rpy(error) for error in errors.T]
+    seen = np.array([displacement(step @ fixed, step @ one @ fixed) for one in moved]) / 1e-4
+    np.testing.assert_allclose(seen.T @ seen, carried(covariance, fixed), atol=1e-3 * covariance.max())

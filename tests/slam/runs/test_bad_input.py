@@ -11,9 +11,11 @@ from factors.association.observations import PlaneObservation
 from slam import PlaneSlam
 from slam.config import KeyframeConfig, SlamConfig
 from slam.errors import LogError
-from slam.frontend.input_checks import silences, skipped
+from slam.frontend.input_checks import silences, skipped, without_repetitions
 from slam.frontend.keyframes import Keyframe, count_keyframes, keyframes_of
 from slam.frontend.measurement import planes_of_cloud
+from slam.frontend.odometry import NO_FLOOR, Motion
+from slam.geometry.frames import inverse, planar_transform
 from slam.output.run_metrics import warnings_of
 from slam.runs.slam_run import run_slam
 from slam.sensors.log import CloudScan, LaserScan, Log
@@ -163,3 +165,36 @@ def test_nothing_in_a_name_steers_the_terminal(tmp_path: Path, capsys: pytest.Ca
     evil.write_text("FLASER 3 1 2 3 0 0 0 0 0 0 1 host 1\nX\x1b[31mODOM 1\n")
     said = refused(capsys, "slam", evil, "--out", tmp_path / "out")
     assert not any(character in said for character in "\x1b\x07\u202e") and "\\x1b[2J" in said and "[red]" in said
+
+
+def test_a_3d_sensor_that_hangs_while_wheels_move_tells_nothing() -> None:
+    """Scan 1 again and again; the wheels go on at 3 cm a step. Standing, a simulation without noise repeats itself."""
+    rng = np.random.default_rng(0)
+    first, second, third = rng.normal(0.0, 1.0, (3, 5, 9))
+
+    def frame(stamp_ns: int, surfaces: np.ndarray | None, ahead_m: float = 0.0) -> Keyframe:
+        step = Motion(planar_transform(ahead_m, 0.0, 0.0), np.eye(3), NO_FLOOR)
+        return Keyframe(stamp_ns, [], step, surfaces=surfaces)
+
+    ways = [(first, 0.0), (first, 0.0), (second, 0.03), (second, 0.03), (None, 0.0), (second, 0.03), (third, 0.03)]
+    frames = [frame(k, None if one is None else one.copy(), ahead_m) for k, (one, ahead_m) in enumerate(ways)]
+    found = list(without_repetitions(frames))
+    assert [one.surfaces is None for one in found] == [False, False, False, False, True, True, False]
+    assert [len(one.notes) for one in found] == [0, 0, 0, 0, 0, 1, 0]
+    assert "to the last bit" in found[5].notes[0] and found[5].observations == []
+    assert not any(one.notes for one in without_repetitions([replace(one, motion=None) for one in frames]))
+
+
+def test_while_a_lidar_hangs_the_wheels_say_where_it_is() -> None:
+    made = simulate_mission("hall", n_scans=6, seed=0)
+    clouds = [k for k, event in enumerate(made.log.events) if isinstance(event, CloudScan)]
+    hangs = dict.fromkeys(clouds[3:5], made.log.events[clouds[2]].points)
+    events = [replace(one, points=hangs[k]) if k in hangs else one for k, one in enumerate(made.log.events)]
+    run = run_slam(replace(made.log, events=events), made.rig, SlamConfig())
+    truth = made.truth.poses_at(run.trajectory.stamps_ns)
+    off = [
+        (inverse(truth[0]) @ t - inverse(run.trajectory.poses[0]) @ p)[:3, 3]
+        for t, p in zip(truth, run.trajectory.poses, strict=True)
+    ]
+    assert np.linalg.norm(off, axis=1).max() < 0.15
+    assert any("2 scans could not be used" in warning for warning in warnings_of(run))
