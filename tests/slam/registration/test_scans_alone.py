@@ -47,7 +47,7 @@ def test_a_hall_seen_in_part_is_where_it_is_seen_whole(far_m: float, noise_m: fl
         return replace(cloud, points=np.where(seen, points, np.nan))
 
     scans = [CloudScan(one.stamp_ns, one.sensor, one.points) for one in log.scans() if isinstance(one, CloudScan)]
-    run = run_slam(replace(log, events=[poorer(one) for one in scans]), rig, SlamConfig())
+    run = run_slam(replace(log, events=[poorer(one) for one in scans]), rig, SlamConfig(), repair=False)
     reference = read_tum(needs("balm_hall/lidar_odometry.tum"))
     errors = absolute_error(run.trajectory, Trajectory(run.trajectory.stamps_ns, reference.poses))
     assert errors.translation_m.max() < 0.05 and np.rad2deg(errors.rotation_rad.max()) < 0.4
