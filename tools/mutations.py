@@ -325,7 +325,7 @@ slam/frontend/measurement.py  tests/slam/registration/test_scans_alone.py -k see
 +return points if True else
 
 places of a scan: one that nothing fits is as likely as one that is alike
-slam/registration/surface_registration.py  tests/slam/registration/test_scans_alone.py -k seen_in_part
+slam/registration/surface_registration.py  tests/slam/registration/test_surface_registration.py -k much_worse
 -return prior - less * (TELLING + _TELLING_AS_A_SQUARE * weight * less)
 +return prior - less * TELLING
 

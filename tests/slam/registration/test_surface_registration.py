@@ -29,6 +29,7 @@ from slam.registration.surface_registration import (
     LocalMap,
     Residuals,
     Tried,
+    _log_likelihood,
     _number_of_things,
     align,
 )
@@ -338,6 +339,13 @@ def test_of_places_that_fit_alike_the_expected_one_is_taken_and_the_other_is_nam
         first, second = found.tried
         likelier_by = first.log_likelihood - second.log_likelihood
         assert likelier_by == pytest.approx(negative_log_prior(heel, (1.0, 0.5)), abs=0.2)
+
+
+def test_a_place_that_fits_much_worse_does_so_in_thing_after_thing() -> None:
+    """By chance one thing does; the more is seen, the less so. Places that differ by little are alike in all things."""
+    little, much = (_log_likelihood(less, 100.0, np.eye(4), None) for less in (0.1, 0.4))
+    assert much < 5.0 * little < 0.0
+    assert _log_likelihood(0.01, 100.0, np.eye(4), None) == pytest.approx(0.1 * little, rel=0.15)
 
 
 def test_rivals_are_other_places_and_each_counts_once() -> None:
