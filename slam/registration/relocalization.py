@@ -124,7 +124,10 @@ def found_place(
         if found.score <= 0.0:
             return None
         covariance = np.linalg.inv(found.information + WEAK_PRIOR).astype(np.float64)
-        return place_of(keyframe, _learnt(motion, prior, found.known_T_seen, covariance), found, seen, known)
+        learnt = _learnt(motion, prior, found.known_T_seen, covariance)
+        stamps_ns = [frame.stamp_ns for frame in (*state.keyframes[-_RECENT:], keyframe)]
+        unseen = _may_be_unseen(scan.elements, learnt) if is_after_gap(stamps_ns) else 0.0
+        return place_of(keyframe, learnt, found, seen, known, unseen)
     if by_planes is None:
         return None
     known_T_seen, covariance = by_planes.known_T_seen, by_planes.covariance
@@ -132,17 +135,25 @@ def found_place(
     return FoundPlace(_stated(motion, known_T_seen, covariance), _numbers(keyframe, by_planes.pairs), learnt)
 
 
-def place_of(keyframe: Keyframe, motion: Motion, found: Alignment, seen: PlaneArrays, known: PlaneArrays) -> FoundPlace:
+def place_of(
+    keyframe: Keyframe,
+    motion: Motion,
+    found: Alignment,
+    seen: PlaneArrays,
+    known: PlaneArrays,
+    unseen: float = 0.0,
+) -> FoundPlace:
     """The place of a 3D scan that was laid on those before, seen from where a motion leads.
 
-    With the planes it sees, and those seen of late, as `planes_about` gives them.
+    With the planes it sees, and those seen of late, as `planes_about` gives them; `unseen`: odds, before looking, that
+    nothing it sees was seen before.
     """
     information = found.information + information_of(motion)
     there = _stated(motion, found.known_T_seen, np.linalg.inv(information).astype(np.float64))
     seen_again = _numbers(keyframe, pairs_under(found.known_T_seen, seen, known))
     assert keyframe.surfaces is not None  # it was laid
     again = _on(keyframe.surfaces, [keyframe.observations[k] for k in sorted(seen_again)])
-    rivals = _rivals(found, there.covariance, _may_be_unseen(keyframe.surfaces, motion))
+    rivals = _rivals(found, there.covariance, unseen)
     return FoundPlace(there, seen_again, motion, _beyond(motion, found, ~again), rivals)
 
 
@@ -205,6 +216,15 @@ def register_from_hypotheses(
     there = expected.known_T_seen
     proposed = [there @ turn for turn in _TURNED] if by_planes is None else [by_planes.known_T_seen]
     return align(scan, known, [*proposed, there, still], expected)
+
+
+def is_after_gap(stamps_ns: Sequence[int]) -> bool:
+    """Whether the last of scans came so late that what it sees may never have been seen: twice as late as is usual.
+
+    Whoever records scans does so that each sees something of the one before.
+    """
+    steps = np.diff(stamps_ns)
+    return len(steps) > 1 and bool(steps[-1] > 2.0 * np.median(steps[:-1]))
 
 
 def _may_be_unseen(elements: FloatArray, motion: Motion) -> float:

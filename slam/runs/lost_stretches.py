@@ -66,8 +66,8 @@ def found_stretches(slam: PlaneSlam, verdict: Verdict) -> list[FoundStretch]:
     found: list[FoundStretch] = []
     for start, end in pairwise(starts):
         stretch = range(start, end)
-        parts = (_Part.of(slam, poses, frames, scans) for frames in (before, stretch))
-        laid = _found(slam, *parts, poses[start])
+        known, lost = (_Part.of(slam, poses, frames, scans) for frames in (before, stretch))
+        laid = _found(slam, known, lost, poses[start])
         match = None if laid is None else _match(slam, laid, start)
         if laid is None or match is None:
             continue  # nothing of it tells where what comes after is

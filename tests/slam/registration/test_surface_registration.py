@@ -19,6 +19,7 @@ from slam.registration.relocalization import (
     _may_be_unseen,
     _on,
     _rivals,
+    is_after_gap,
     register_from_hypotheses,
     scan_of,
 )
@@ -373,5 +374,8 @@ def test_what_was_never_seen_may_be_seen_where_a_body_may_be_beyond_what_it_sees
     odds = [
         _may_be_unseen(elements, Motion(np.eye(4), np.diag([sigma**2] * 3 + [1.0] * 3), NO_FLOOR))
         for sigma in (1.0, 3.0, 30.0)
+    ]
+    assert [is_after_gap(late) for late in ([0], [0, 9], [0, 1, 2, 4], [0, 1, 2, 5], [0, 3, 4, 5, 8])] == [
+        *(False, False, False, True, True)
     ]
     np.testing.assert_allclose(odds, [0.0027 / 0.9973, 0.3173 / 0.6827, 0.9203 / 0.0797], rtol=1e-3, atol=0.0)
