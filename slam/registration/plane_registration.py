@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.special import bdtrc
 
 from slam.geometry.frames import angle_of, inverse
 from slam.geometry.polygons import flatten, valid
@@ -111,6 +112,31 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
         weight = _agreement(found.known_T_seen, mine, centred) - sight.blocked(found.known_T_seen)
         places.append((weight / total, replace(found, known_T_seen=origin @ found.known_T_seen)))
     return sorted(places, key=lambda one: -one[0])
+
+
+def matched_under(known_T_seen: FloatArray, seen: PlaneArrays, known: PlaneArrays) -> int:
+    """How many planes are in both under a motion (4, 4); pieces of one count once."""
+    pairs = pairs_under(known_T_seen, seen, known)
+    return min(len({i for i, _ in pairs}), len({j for _, j in pairs}))
+
+
+def chance_of(matched: int, elsewhere: Sequence[int], n_planes: int) -> float:
+    """With what probability another place, or another building, would have as many of the planes that are seen.
+
+    Three planes fit some place in any building: three offsets tell a translation. What each other plane finds by chance
+    the places say that were looked at and are not the one: as often as that, of as many places, the best would have as
+    many (binomial test, Bonferroni; one plane of two is what a test knows beforehand, Laplace's rule).
+
+    Args:
+        matched: planes that are known at the place.
+        elsewhere: the same at every other place that was looked at.
+        n_planes: all that are seen.
+    """
+    others = np.maximum(np.array(elsewhere, dtype=np.int64) - 3, 0)
+    spare, free = matched - 3, max(n_planes - 3, 0)
+    share = min((others.sum() + 1.0) / (len(others) * free + 2.0), 1.0)
+    as_many = 1.0 if spare <= 0 else float(bdtrc(spare - 1, free, share))
+    return min((len(others) + 1) * as_many, 1.0)
 
 
 def pairs_under(

@@ -24,8 +24,15 @@ from slam.map.landmarks import Landmark, LandmarkMap
 from slam.map.state import EstimatorState
 from slam.registration._plane_arrays import PlaneArrays
 from slam.registration.motion_prior import MotionPrior
-from slam.registration.plane_registration import PlaneMatching, pairs_under, register_planes_globally
-from slam.registration.surface_registration import TELLING, WEAK_PRIOR, Alignment, Expected, LocalMap, align
+from slam.registration.plane_registration import (
+    PlaneMatching,
+    chance_of,
+    matched_under,
+    pairs_under,
+    places_anywhere,
+    register_planes_globally,
+)
+from slam.registration.surface_registration import TELLING, WEAK_PRIOR, Alignment, Expected, LocalMap, Tried, align
 from slam.registration.visibility import Scan
 from spplanes import Plane
 from spplanes._check import FloatArray
@@ -153,6 +160,8 @@ def place_of(
     seen_again = _numbers(keyframe, pairs_under(found.known_T_seen, seen, known))
     assert keyframe.surfaces is not None  # it was laid
     again = _on(keyframe.surfaces, [keyframe.observations[k] for k in sorted(seen_again)])
+    if unseen > 0.0:
+        unseen *= max(float(np.exp(TELLING * (_BY_CHANCE - found.score))), _chance(found, there, seen, known))
     rivals = _rivals(found, there.covariance, unseen)
     return FoundPlace(there, seen_again, motion, _beyond(motion, found, ~again), rivals)
 
@@ -236,21 +245,38 @@ def _may_be_unseen(elements: FloatArray, motion: Motion) -> float:
     return float(erfc(far) / max(erf(far), np.finfo(float).tiny))
 
 
+def _chance(found: Alignment, there: Motion, seen: PlaneArrays, known: PlaneArrays) -> float:
+    """Probability that another place would have as many of the planes seen as the one that was found, and stated.
+
+    By what planes have at the places that they themselves propose, wherever.
+    """
+    proposed = (place.known_T_seen for _, place in places_anywhere(seen.planes, known.planes))
+    others = [one for one in proposed if not are_one(found.known_T_seen, one, there.covariance, significance=1e-3)]
+    matched = [matched_under(place, seen, known) for place in (found.known_T_seen, *others)]
+    return chance_of(matched[0], matched[1:], len(seen.normals))
+
+
+def _others(found: Alignment, covariance: FloatArray) -> list[Tried]:
+    """The other places at which a scan came to rest, none twice; SP covariance (6, 6) of the one that was found."""
+    others: list[Tried] = []
+    for one in found.tried[1:]:
+        places = (found.known_T_seen, *(other.known_T_seen for other in others))
+        if not any(are_one(place, one.known_T_seen, covariance, significance=1e-3) for place in places):
+            others.append(one)
+    return others
+
+
 def _rivals(found: Alignment, covariance: FloatArray, unseen: float) -> Rivals:
     """The other places that a scan may lie at; SP covariance (6, 6) of the one that was found, odds that none is it."""
-    by_chance = unseen * float(np.exp(TELLING * (_BY_CHANCE - found.score)))
-    odds, places = [], [found.known_T_seen]
-    for one in found.tried[1:]:
-        if not any(are_one(place, one.known_T_seen, covariance, significance=1e-3) for place in places):
-            places.append(one.known_T_seen)
-            odds.append(float(np.exp(one.log_likelihood - found.tried[0].log_likelihood)))
-    total = 1.0 + sum(odds) + by_chance
+    others = _others(found, covariance)
+    odds = [float(np.exp(one.log_likelihood - found.tried[0].log_likelihood)) for one in others]
+    total = 1.0 + sum(odds) + unseen
     if not odds:
-        return Rivals(by_chance / total, 0.0, 0.0, by_chance / total)
-    between = gtsam.Pose3(inverse(places[0]) @ places[1])  # the likeliest comes first
+        return Rivals(unseen / total, 0.0, 0.0, unseen / total)
+    between = gtsam.Pose3(inverse(found.known_T_seen) @ others[0].known_T_seen)  # the likeliest comes first
     distance_m = float(np.linalg.norm(between.translation()))
     angle_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(between.rotation())))
-    return Rivals((sum(odds) + by_chance) / total, distance_m, angle_rad, by_chance / total)
+    return Rivals((sum(odds) + unseen) / total, distance_m, angle_rad, unseen / total)
 
 
 def are_one(place: FloatArray, other: FloatArray, covariance: FloatArray, significance: float) -> bool:

@@ -30,7 +30,7 @@ from slam.frontend.pose_measurements import PlaceMatch
 from slam.geometry.frames import inverse
 from slam.planeslam import PlaneSlam
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.plane_registration import pairs_under
+from slam.registration.plane_registration import matched_under
 from slam.registration.relocalization import scan_of, stated
 from slam.runs.scan_pairs import Place, are_near, find_place, refined
 from spplanes import Plane
@@ -148,10 +148,7 @@ def _found(slam: PlaneSlam, before: _Part, stretch: _Part, world_T_start: FloatA
 
 def _is_beyond_doubt(slam: PlaneSlam, before: _Part, stretch: _Part, laid: _Laid, others: Sequence[FloatArray]) -> bool:
     """Whether all that both parts saw bears out where a stretch was laid, as of two clouds; `others`: other shifts."""
-    matched = []
-    for shift in (laid.shift, *others):
-        pairs = pairs_under(shift, stretch.planes, before.planes)
-        matched.append(min(len({i for i, _ in pairs}), len({j for _, j in pairs})))
+    matched = [matched_under(shift, stretch.planes, before.planes) for shift in (laid.shift, *others)]
     there = {frame: laid.shift @ pose for frame, pose in stretch.frames.items()}
     looks = np.zeros((2, 2), dtype=int)
     for frame, here in _views(slam, there).items():

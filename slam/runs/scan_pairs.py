@@ -22,7 +22,7 @@ from slam.frontend.odometry import Motion
 from slam.geometry.frames import inverse, planar_transform
 from slam.planeslam import PlaneSlam
 from slam.registration._plane_arrays import PlaneArrays
-from slam.registration.plane_registration import pairs_under, places_anywhere, register_planes_globally
+from slam.registration.plane_registration import matched_under, places_anywhere, register_planes_globally
 from slam.registration.relocalization import scan_of
 from slam.registration.surface_registration import WEAK_PRIOR, Expected, LocalMap, Tried, align
 from spplanes._check import FloatArray
@@ -77,8 +77,7 @@ def find_place(a: Keyframe, b: Keyframe, guess: FloatArray | None = None) -> Pla
             ranked.append(one)
     chances = np.exp([one.log_likelihood - ranked[0].log_likelihood for one in ranked])
     rivals = [Rival(one.known_T_seen, float(p)) for one, p in zip(ranked, chances / chances.sum(), strict=True)][1:]
-    both = [pairs_under(one.known_T_seen, mine, theirs) for one in ranked]
-    matched = [min(len({i for i, _ in pairs}), len({j for _, j in pairs})) for pairs in both]  # pieces count once
+    matched = [matched_under(one.known_T_seen, mine, theirs) for one in ranked]
     a_T_b = found.known_T_seen
     from_a, from_b = ScanView(known, np.array([0.0, 0.0, 1.0])), ScanView(scan, a_T_b[2, :3])
     looks = (compare(from_a, from_b, a_T_b), compare(from_b, from_a, inverse(a_T_b)))

@@ -11,6 +11,7 @@ from slam.diagnostics.evidence.coverage import MOST_WRONG
 from slam.diagnostics.evidence.innovations import PROMISED_M
 from slam.diagnostics.verdict import Evidence, Verdict, at_least, weigh
 from slam.frontend.occupancy.raster import NOVEL_SHARE
+from slam.registration.plane_registration import chance_of
 from spplanes._check import FloatArray
 
 #: A and B, as the keyframes of a run of two.
@@ -54,16 +55,8 @@ def _free_space(match: CloudMatch) -> Iterator[Evidence]:
 
 
 def _chance(match: CloudMatch) -> Iterator[Evidence]:
-    """As many planes in both as another place would have by chance.
-
-    Three planes fit some place in any building: three offsets tell a translation. What each other plane finds by chance
-    the places say that were looked at and are not the one: as often as that, of as many places, the best would have as
-    many (binomial test, Bonferroni; one plane of two is what a test knows beforehand, Laplace's rule).
-    """
-    others = np.maximum(np.array(match.matched_elsewhere, dtype=np.int64) - 3, 0)
-    spare, free = match.matched - 3, max(match.n_planes - 3, 0)
-    share = (others.sum() + 1.0) / (len(others) * free + 2.0)
-    chance = min((len(others) + 1) * float(at_least(spare, free, min(share, 1.0))), 1.0)
+    """As many planes in both as another place would have by chance."""
+    chance = chance_of(match.matched, match.matched_elsewhere, match.n_planes)
     # lines of sight refute four in five places in other buildings and more: together within `SIGNIFICANCE`
     if chance > 0.05:
         sentence = (

@@ -14,7 +14,6 @@ from slam.frontend.scan_surfaces import ON_EDGE, ON_NO_PLANE, ON_PLANE, moved
 from slam.geometry.frames import inverse
 from slam.registration.plane_registration import negative_log_prior
 from slam.registration.relocalization import (
-    _BY_CHANCE,
     NO_RIVALS,
     _may_be_unseen,
     _on,
@@ -24,7 +23,6 @@ from slam.registration.relocalization import (
     scan_of,
 )
 from slam.registration.surface_registration import (
-    TELLING,
     Correspondences,
     Expected,
     LocalMap,
@@ -359,13 +357,9 @@ def test_rivals_are_other_places_and_each_counts_once() -> None:
     wide = np.diag([9.0, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # along an open direction a place is one, however long
     assert _rivals(tried, wide, 0.0).probability == 0.0
     assert _rivals(replace(found, tried=(first, near)), covariance, 0.0) == NO_RIVALS
-    # as likely as not that none of it was seen before, and it fits as it would by chance, or half a nat better
-    for score, odds in ((_BY_CHANCE, 1.0), (_BY_CHANCE + np.log(2.0) / TELLING, 0.5)):
-        alone = replace(found, tried=(first,), score=score)
-        assert _rivals(alone, covariance, 1.0).unseen == pytest.approx(odds / (1.0 + odds))
-        assert _rivals(replace(tried, score=score), covariance, 1.0) == pytest.approx(
-            ((0.25 + odds) / (1.25 + odds), 5.0, 0.0, odds / (1.25 + odds)), abs=1e-6
-        )
+    alone = replace(found, tried=(first,))  # odds that none of it was seen before, after looking
+    assert _rivals(alone, covariance, 0.5) == pytest.approx((1.0 / 3.0, 0.0, 0.0, 1.0 / 3.0))
+    assert _rivals(tried, covariance, 1.0) == pytest.approx((1.25 / 2.25, 5.0, 0.0, 1.0 / 2.25), abs=1e-6)
 
 
 def test_what_was_never_seen_may_be_seen_where_a_body_may_be_beyond_what_it_sees() -> None:
