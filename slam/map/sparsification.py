@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import gtsam
 import numpy as np
 
-from factors._conventions import POSE3_TO_SP, SP_TO_POSE3
+from factors._conventions import SP_TO_POSE3
 from factors.association.observations import Observation
 from slam.backend.elimination import graph_of
 from slam.backend.estimator import Backend, pose_symbol, pose_symbols
+from slam.backend.joint_covariance import carried
 from slam.config import ThinningConfig
 from slam.frontend.information import floor_information, information_as_seen
 from slam.frontend.odometry import Motion
@@ -158,11 +159,15 @@ class Sparsifier:
         """A keyframe is needed after all."""
         self._leaving.discard(keyframe)
 
-    def anchor(self, keyframe: int, every: int) -> int:
-        """The keyframe in whose frame landmarks born at a keyframe live: one of every so many, if it stays."""
-        wanted = max(keyframe - 1, 0) // every * every
-        staying = [one for one in self.held[-2 * every :] if one <= wanted and one not in self._leaving]
-        return staying[-1] if staying and staying[-1] > wanted - every else max(keyframe - 1, 0)
+    def anchor(self, keyframe: int, every: int, since: int) -> int:
+        """The keyframe in whose frame landmarks born at a keyframe live: one of every so many, if it stays.
+
+        None before `since`: where it is from those is not known.
+        """
+        last = max(keyframe - 1, since)
+        wanted = last // every * every
+        staying = [one for one in self.held[-2 * every :] if since <= one <= wanted and one not in self._leaving]
+        return staying[-1] if staying and staying[-1] > wanted - every else last
 
     def plan_removal(self, keyframe: int) -> Removal:
         """Before a keyframe comes: who goes, the last two excepted."""
@@ -257,8 +262,7 @@ def chained(first: Motion, second: Motion) -> Motion:
         covariance = carry @ own[0] @ carry.T + turn @ own[1] @ turn.T
         out = _out_of_plane(first, second)
     else:
-        back = gtsam.Pose3(second.a_T_b).inverse().AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-        covariance, out = back @ own[0] @ back.T + own[1], first.out_of_plane_sigmas
+        covariance, out = carried(own[0], second.a_T_b) + own[1], first.out_of_plane_sigmas
     whole = Motion(a_T_c, covariance, out, response, first.calibration_sigmas)
     if response is None:
         return whole

@@ -95,9 +95,7 @@ class MapUpdater:
             for decision in decisions
             if decision.match is not None
         ]
-        anchor = self._sparsifier.anchor(at, self._config.landmarks.anchor_every)
-        if anchor < prediction.since:
-            anchor = max(at - 1, prediction.since)  # where it is from any before is not known
+        anchor = self._sparsifier.anchor(at, self._config.landmarks.anchor_every, prediction.since)
         numbers = [decision.observation for decision in decisions if decision.verdict == "new"]
         births = self._births(seen, numbers, pose_symbol(anchor), pose_key, initial)
         if births:

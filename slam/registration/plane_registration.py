@@ -47,6 +47,11 @@ class PlaneMatching:
     pairs: tuple[tuple[int, int], ...]
     """(seen, known) of the planes that are one under it."""
 
+    @property
+    def n_matched(self) -> int:
+        """How many planes are in both; pieces of one count once."""
+        return _in_both(self.pairs)
+
 
 def register_planes_globally(
     seen: Sequence[Plane] | PlaneArrays, known: Sequence[Plane] | PlaneArrays, sigmas: tuple[float, float]
@@ -116,7 +121,10 @@ def places_anywhere(seen: Sequence[Plane], known: Sequence[Plane]) -> list[tuple
 
 def matched_under(known_T_seen: FloatArray, seen: PlaneArrays, known: PlaneArrays) -> int:
     """How many planes are in both under a motion (4, 4); pieces of one count once."""
-    pairs = pairs_under(known_T_seen, seen, known)
+    return _in_both(pairs_under(known_T_seen, seen, known))
+
+
+def _in_both(pairs: Sequence[tuple[int, int]]) -> int:
     return min(len({i for i, _ in pairs}), len({j for _, j in pairs}))
 
 

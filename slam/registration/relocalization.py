@@ -250,10 +250,10 @@ def _chance(found: Alignment, there: Motion, seen: PlaneArrays, known: PlaneArra
 
     By what planes have at the places that they themselves propose, wherever.
     """
-    proposed = (place.known_T_seen for _, place in places_anywhere(seen.planes, known.planes))
-    others = [one for one in proposed if not are_one(found.known_T_seen, one, there.covariance, significance=1e-3)]
-    matched = [matched_under(place, seen, known) for place in (found.known_T_seen, *others)]
-    return chance_of(matched[0], matched[1:], len(seen.normals))
+    here, proposed = found.known_T_seen, (place for _, place in places_anywhere(seen.planes, known.planes))
+    others = [one for one in proposed if not are_one(here, one.known_T_seen, there.covariance, significance=1e-3)]
+    elsewhere = [one.n_matched for one in others]
+    return chance_of(matched_under(here, seen, known), elsewhere, len(seen.normals))
 
 
 def _others(found: Alignment, covariance: FloatArray) -> list[Tried]:

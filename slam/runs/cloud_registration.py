@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gtsam
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors._conventions import POSE3_TO_SP
+from slam.backend.joint_covariance import carried
 from slam.config import SlamConfig
 from slam.diagnostics.evidence.registration import judge
 from slam.diagnostics.verdict import Verdict
@@ -119,8 +119,7 @@ def _registration(fit: Refined, place: Place, sensors: Sequence[Sensor]) -> Regi
     if bent is not None:
         a_T_b, covariance = bent.a_T_b, bent.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
     a_T_body, b_T_sensor = (inverse(sensors[0].body_T_sensor), sensors[1].body_T_sensor)
-    moved = gtsam.Pose3(inverse(b_T_sensor)).AdjointMap()[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
-    covariance = np.asarray(moved @ covariance @ moved.T, dtype=np.float64)
+    covariance = carried(covariance, b_T_sensor)
     a_T_b, verdict = a_T_body @ a_T_b @ b_T_sensor, judge(place.match, covariance)
     open_ = tuple(stretch.sentence for stretch in slam.open_directions)
     rivals = tuple(rival._replace(a_T_b=a_T_body @ rival.a_T_b @ b_T_sensor) for rival in place.rivals)

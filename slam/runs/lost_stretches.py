@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
+from itertools import pairwise, product
 from math import isqrt
 from typing import NamedTuple
 
@@ -25,7 +26,8 @@ from slam.backend.estimator import pose_symbol
 from slam.backend.joint_covariance import carried
 from slam.diagnostics.evidence.registration import CloudMatch, judge
 from slam.diagnostics.verdict import Verdict
-from slam.diagnostics.views import ScanView, compare
+from slam.diagnostics.views import ScanView, compare, scan_views_of
+from slam.frontend.keyframes import Keyframe
 from slam.frontend.pose_measurements import PlaceMatch
 from slam.geometry.frames import inverse
 from slam.planeslam import PlaneSlam
@@ -37,9 +39,8 @@ from spplanes import Plane
 from spplanes._check import FloatArray
 from spplanes.spmodel import rpy_from_transform
 
-#: So many scans of a stretch, and so many of what was before, are laid on each other, at most.
-_SCANS = 6
-#: So many pairs of scans for all stretches together; where that leaves no two of each, a drive is lost too often.
+#: So many pairs of scans are laid on each other for all stretches together, as many of a stretch as of what was before;
+#: where that leaves no two of each, a drive is lost too often.
 _PAIRS = 48
 #: What is known of a place when it is judged before it is refined: it is where it was found.
 _AS_FOUND = 1e-6 * np.eye(6)
@@ -59,7 +60,7 @@ class FoundStretch(NamedTuple):
 def found_stretches(slam: PlaneSlam, verdict: Verdict) -> list[FoundStretch]:
     """The stretches that begin where a verdict doubts how a scan was placed, and that are found in what was before."""
     starts = [*_lost(slam, verdict), len(slam.keyframes)]
-    scans = min(isqrt(_PAIRS // max(len(starts) - 1, 1)), _SCANS)
+    scans = isqrt(_PAIRS // max(len(starts) - 1, 1))
     if scans < 2:
         return []
     poses, before = slam.trajectory.poses.copy(), list(range(starts[0]))
@@ -67,7 +68,7 @@ def found_stretches(slam: PlaneSlam, verdict: Verdict) -> list[FoundStretch]:
     for start, end in pairwise(starts):
         stretch = range(start, end)
         known, lost = (_Part.of(slam, poses, frames, scans) for frames in (before, stretch))
-        laid = _found(slam, known, lost, poses[start])
+        laid = _found(known, lost, poses[start])
         match = None if laid is None else _match(slam, laid, start)
         if laid is None or match is None:
             continue  # nothing of it tells where what comes after is
@@ -100,8 +101,12 @@ class _Laid(NamedTuple):
 class _Part:
     """A part of a drive, whose poses hang together."""
 
-    frames: dict[int, FloatArray]
-    """A few of its keyframes that have a 3D scan, evenly over all of them, with world_T_body (4, 4)."""
+    numbers: list[int]
+    """A few of its keyframes that have a 3D scan, evenly over all of them, K."""
+    keyframes: list[Keyframe]
+    """The same."""
+    poses: FloatArray
+    """Their world_T_body, shape (K, 4, 4)."""
     planes: PlaneArrays
     """What it saw, of every landmark the largest piece, in the world by its poses."""
 
@@ -118,22 +123,32 @@ class _Part:
             if of_planes:
                 _, frame, plane = max(of_planes, key=lambda one: one[0])
                 planes.append(plane.transform(poses[frame]))
-        return cls({seeing[k]: poses[seeing[k]] for k in few}, PlaneArrays.of(planes))
+        numbers = [seeing[k] for k in few]
+        return cls(numbers, [slam.keyframes[one] for one in numbers], poses[numbers], PlaneArrays.of(planes))
+
+    def seen_from(self, shift: FloatArray) -> list[tuple[FloatArray, ScanView]]:
+        """Pose (4, 4) and view of each of those keyframes, all of the part shifted in the world by a motion (4, 4)."""
+        poses = shift @ self.poses
+        return [(poses[k], view) for k, view in scan_views_of(self.keyframes, poses).items()]
+
+    @cached_property
+    def seen(self) -> list[tuple[FloatArray, ScanView]]:
+        """The same where it is."""
+        return self.seen_from(np.eye(4))
 
 
-def _found(slam: PlaneSlam, before: _Part, stretch: _Part, world_T_start: FloatArray) -> _Laid | None:
+def _found(before: _Part, stretch: _Part, world_T_start: FloatArray) -> _Laid | None:
     """The pair of scans that says best where a stretch is, of those that agree; None: no place is beyond doubt."""
     groups: list[list[_Laid]] = []  # by the place at which they have it
-    n = max(len(before.frames), len(stretch.frames))
-    olds, news = (list(part.frames.items()) for part in (before, stretch))
+    n_old, n_new = len(before.numbers), len(stretch.numbers)
+    n = max(n_old, n_new)
     turns = ((i, (i + step) % n) for step in range(n) for i in range(n))
-    for i, j in ((i, j) for i, j in turns if i < len(olds) and j < len(news)):
-        (old, world_T_old), (new, world_T_new) = olds[i], news[j]
-        place = find_place(slam.keyframes[old], slam.keyframes[new])
+    for i, j in ((i, j) for i, j in turns if i < n_old and j < n_new):
+        place = find_place(before.keyframes[i], stretch.keyframes[j])
         if place is None:
             continue
-        shift = world_T_old @ place.a_T_b @ inverse(world_T_new)
-        laid = _Laid(old, new, place, shift, shift @ world_T_start)
+        shift = before.poses[i] @ place.a_T_b @ inverse(stretch.poses[j])
+        laid = _Laid(before.numbers[i], stretch.numbers[j], place, shift, shift @ world_T_start)
         group = next((some for some in groups if are_near(some[0].world_T_start, laid.world_T_start)), None)
         if group is None:
             groups.append([laid])
@@ -141,29 +156,21 @@ def _found(slam: PlaneSlam, before: _Part, stretch: _Part, world_T_start: FloatA
         group.append(laid)
         best = max(group, key=lambda one: one.place.overlap)
         others = [some[0].shift for some in groups if some is not group]
-        if _is_beyond_doubt(slam, before, stretch, best, others):
+        if _is_beyond_doubt(before, stretch, best, others):
             return best
     return None
 
 
-def _is_beyond_doubt(slam: PlaneSlam, before: _Part, stretch: _Part, laid: _Laid, others: Sequence[FloatArray]) -> bool:
+def _is_beyond_doubt(before: _Part, stretch: _Part, laid: _Laid, others: Sequence[FloatArray]) -> bool:
     """Whether all that both parts saw bears out where a stretch was laid, as of two clouds; `others`: other shifts."""
     matched = [matched_under(shift, stretch.planes, before.planes) for shift in (laid.shift, *others)]
-    there = {frame: laid.shift @ pose for frame, pose in stretch.frames.items()}
     looks = np.zeros((2, 2), dtype=int)
-    for frame, here in _views(slam, there).items():
-        for old, seen in _views(slam, before.frames).items():
-            old_T_new = inverse(before.frames[old]) @ there[frame]
-            looks += (compare(seen, here, old_T_new), compare(here, seen, inverse(old_T_new)))
+    for (world_T_old, seen), (world_T_new, here) in product(before.seen, stretch.seen_from(laid.shift)):
+        old_T_new = inverse(world_T_old) @ world_T_new
+        looks += (compare(seen, here, old_T_new), compare(here, seen, inverse(old_T_new)))
     first, second = ((int(confirmed), int(through)) for confirmed, through in looks)
     match = CloudMatch(len(stretch.planes.normals), matched[0], tuple(matched[1:]), (first, second), 0.0)
     return judge(match, _AS_FOUND).verdict == "sound"
-
-
-def _views(slam: PlaneSlam, poses: dict[int, FloatArray]) -> dict[int, ScanView]:
-    """What keyframes at poses (4, 4) saw."""
-    scans = ((frame, scan_of(slam.keyframes[frame])) for frame in poses)
-    return {frame: ScanView(scan, poses[frame][2, :3]) for frame, scan in scans if scan is not None}
 
 
 def _match(slam: PlaneSlam, laid: _Laid, start: int) -> PlaceMatch | None:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 from scipy.special import chdtri
 
 from factors._conventions import POSE3_TO_SP
+from slam.backend.joint_covariance import carried
 from slam.diagnostics.evidence import assess_run
 from slam.diagnostics.verdict import Verdict
 from slam.diagnostics.views import TOLERANCE_M
@@ -164,9 +164,7 @@ def _other_start(
     if found.verdict != "joined" or found.alignment is None:
         return None
     laid, first = found.alignment, alone.trajectory.poses[0]
-    at_start = gtsam.Pose3(inverse(first)).AdjointMap()
-    covariance = at_start @ laid.covariance @ at_start.T
-    spread = prior.start_covariance + covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)]
+    spread = prior.start_covariance + carried(laid.covariance[np.ix_(POSE3_TO_SP, POSE3_TO_SP)], first)
     start = laid.a_T_b @ first
     if are_one(prior.world_T_start, start, spread, SIGNIFICANCE):
         return None
