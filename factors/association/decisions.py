@@ -26,8 +26,8 @@ class AssociationGates:
     new_significance: float = 1e-6
     """A measurement starts a landmark only when every candidate lies above this quantile; between, it is unsure."""
     chance_factor: float = 1.0
-    """A match must be likelier than a plane there by chance; how dense planes lie is taken from the landmarks about the
-    observation, times this."""
+    """A match must be likelier than a plane there by chance, turned anyhow or parallel to a landmark; how dense planes
+    lie is taken from the landmarks about the observation, times this."""
     rival_log_ratio: float = 4.6
     """A match waits while another landmark is at most exp(this) times less likely: 100 to 1."""
     max_angle_rad: float = 0.35
@@ -92,7 +92,7 @@ class Decision:
 def decide(
     index: int,
     candidates: Sequence[Candidate],
-    chance: float,
+    none: float,
     away: Callable[[int], float],
     within: Callable[[int], bool],
     gates: AssociationGates,
@@ -102,7 +102,7 @@ def decide(
     Args:
         index: the observation.
         candidates: most likely first.
-        chance: log density of other planes about the observation.
+        none: log likelihood that the observation is of none of them.
         away: how much less likely, in nats, a landmark (its id) is for where the observation lies.
         within: whether a landmark (its id) was seen so near that the observation may be of it.
         gates: when a match is one.
@@ -110,7 +110,7 @@ def decide(
     accepted = [
         candidate
         for candidate in candidates
-        if candidate.p_value >= gates.significance and candidate.log_likelihood >= chance and within(candidate.landmark)
+        if candidate.p_value >= gates.significance and candidate.log_likelihood >= none and within(candidate.landmark)
     ]
     if len(accepted) > 1:
         accepted.sort(key=lambda one: away(one.landmark) - one.log_likelihood)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from math import log, pi
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -27,7 +28,7 @@ class Hypothesis:
     columns: np.ndarray
     jacobian: FloatArray
     target: FloatArray
-    by_distance: FloatArray | None = None
+    by_distance: FloatArray
     """Derivative of the whitened error by the landmark's distance, per m: what a parallel plane beside it would do."""
 
 
@@ -39,6 +40,9 @@ class Innovation:
     hypothesis: Hypothesis
     residual: FloatArray
     covariance: FloatArray
+    log_parallel: float
+    """Log likelihood that the observation is of a plane parallel to the landmark, one a metre, anywhere beside it: the
+    integral of the innovation's density over the landmark's distance; -inf where the distance changes nothing."""
 
 
 class State:
@@ -58,11 +62,13 @@ class State:
         expected, spread = self.along(hypothesis.columns, hypothesis.jacobian)
         residual = hypothesis.target - expected
         covariance = spread + np.eye(len(residual))
-        chi2, log_det = chi2_and_log_det(residual.tolist(), covariance.tolist())
-        blank = hypothesis.candidate
-        log_likelihood = blank.log_likelihood - 0.5 * (chi2 + log_det)
-        candidate = Candidate(blank.landmark, chi2, blank.dof, log_likelihood, blank.confirmed)
-        return Innovation(candidate, hypothesis, residual, covariance)
+        found = eliminated(covariance.tolist(), residual.tolist(), hypothesis.by_distance.tolist())
+        blank, log_parallel = hypothesis.candidate, -float("inf")
+        log_likelihood = blank.log_likelihood - 0.5 * (found.chi2 + found.log_det)
+        if found.precision > 0.0:
+            log_parallel = log_likelihood + 0.5 * (found.pull**2 / found.precision + _LOG_2PI - log(found.precision))
+        candidate = Candidate(blank.landmark, found.chi2, blank.dof, log_likelihood, blank.confirmed)
+        return Innovation(candidate, hypothesis, residual, covariance, log_parallel)
 
     def along(self, columns: np.ndarray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance of what a Jacobian (K, C) makes of the tangents of some columns (C,): (K,) and (K, K)."""
@@ -77,31 +83,34 @@ class State:
         self._covariance = self._covariance - gain @ spread.T
 
 
-def chi2_and_log_det(residual: list[float], covariance: list[list[float]]) -> tuple[float, float]:
-    """r^T C^-1 r and the log of det(2 pi C) of a symmetric C that is at least the identity: by L D L^T, in scalars."""
-    chi2, log_det = 0.0, len(residual) * _LOG_2PI
+class Eliminated(NamedTuple):
+    """What the density of a residual r, and of r less a multiple of a direction a, is made of; see `eliminated`."""
+
+    chi2: float
+    """r^T C^-1 r."""
+    log_det: float
+    """log det(2 pi C)."""
+    pull: float
+    """a^T C^-1 r."""
+    precision: float
+    """a^T C^-1 a."""
+
+
+def eliminated(covariance: list[list[float]], residual: list[float], direction: list[float]) -> Eliminated:
+    """By L D L^T of a symmetric C that is at least the identity, in scalars; the lists are overwritten."""
+    chi2, log_det, pull, precision = 0.0, len(residual) * _LOG_2PI, 0.0, 0.0
     for i in range(len(residual)):
-        pivot, row = covariance[i][i], covariance[i]
-        chi2 += residual[i] ** 2 / pivot
+        pivot, row, off, slope = covariance[i][i], covariance[i], residual[i], direction[i]
+        chi2 += off**2 / pivot
+        pull += off * slope / pivot
+        precision += slope**2 / pivot
         log_det += log(abs(pivot))
         for j in range(i + 1, len(residual)):
             share = row[j] / pivot
-            residual[j] -= share * residual[i]
+            residual[j] -= share * off
+            direction[j] -= share * slope
             covariance[j] = [one - share * other for one, other in zip(covariance[j], row, strict=True)]
-    return chi2, log_det
-
-
-def log_parallel(innovation: Innovation) -> float:
-    """Log likelihood that an observation is of a plane parallel to the landmark, one a metre, anywhere beside it.
-
-    The integral of the innovation's density over the landmark's distance; -inf where the distance changes nothing.
-    """
-    by_distance = innovation.hypothesis.by_distance
-    if by_distance is None or not by_distance.any():
-        return -float("inf")
-    weighed = np.linalg.solve(innovation.covariance, by_distance)
-    precision, pull = float(by_distance @ weighed), float(innovation.residual @ weighed)
-    return innovation.candidate.log_likelihood + 0.5 * (pull**2 / precision + _LOG_2PI - log(precision))
+    return Eliminated(chi2, log_det, pull, precision)
 
 
 def hypotheses_of(

@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import log
 
 import gtsam
+import numpy as np
 
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
 from factors.association.estimate import Estimate, KeyedCovariance, Landmark, PlacedLandmarks
-from factors.association.gating import Hypothesis, Innovation, State, elsewhere, hypotheses_of, innovations_of
+from factors.association.gating import (
+    Hypothesis,
+    Innovation,
+    State,
+    elsewhere,
+    hypotheses_of,
+    innovations_of,
+)
 from factors.association.observations import Observation, PlaneObservation
 from factors.association.shortlist import Gaps, bounds_of, log_density, log_parallel_density, shortlist
 from factors.plane import get_ready
@@ -24,7 +33,7 @@ class JointHypothesis:
     """Of every observation."""
     log_likelihood: float
     """Of all of them: of a match that of its innovation, less how far off the landmark was seen, of everything else
-    that of another plane there."""
+    that of a plane which is no landmark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +72,15 @@ class JointCompatibility:
         """Of an observation (its index) under a landmark, less how far off that was seen."""
         return candidate.log_likelihood - self.gaps.away(index, candidate.landmark)
 
+    def log_likelihood_of_none(self, index: int, innovations: Sequence[Innovation]) -> float:
+        """Of an observation (its index) of no landmark that it is compared with, as its innovations are.
+
+        Half of such planes are turned anyhow, half are parallel to one: the worse the pose is known, the likelier is
+        what lies beside a landmark another plane, a table for the floor say.
+        """
+        beside = [self.parallel_chances[index] + innovation.log_parallel for innovation in innovations]
+        return float(np.logaddexp.reduce([self.chances[index], *beside])) - log(2.0)
+
     def decide_all(self, start: tuple[int, int] | None = None) -> JointHypothesis:
         """Decide everything; `start` is an observation and the landmark that it is taken for before all others."""
         state, honest = self.state.copy(), None if self.honest is None else self.honest.copy()
@@ -73,32 +91,31 @@ class JointCompatibility:
                 if index in decisions or (stage == "start" and (start is None or index != start[0])):
                     continue
                 found = innovations_of(self.hypotheses[index], state)
-                compared = [one.candidate for one in found]
+                compared, none = [one.candidate for one in found], self.log_likelihood_of_none(index, found)
                 if stage == "start" and start is not None:
                     compared.sort(key=lambda one: one.landmark != start[1])
-                    decision = self._decide(index, compared[:1], state)
+                    decision = self._decide(index, compared[:1], none, state)
                     decision = replace(decision, candidates=tuple(compared))
                 else:
-                    decision = self._decide(index, compared, state)
+                    decision = self._decide(index, compared, none, state)
                 if stage == "clear" and is_open(decision, partial(self.gaps.away, index), self.gates):
                     continue
-                decision, likelihood = self._take_in(decision, found, state, honest)
+                decision, likelihood = self._take_in(decision, found, none, state, honest)
                 decisions[index], total = decision, total + likelihood
         return JointHypothesis([decisions[index] for index in sorted(decisions)], total)
 
     def _take_in(
-        self, decision: Decision, found: Sequence[Innovation], state: State, honest: State | None
+        self, decision: Decision, found: Sequence[Innovation], none: float, state: State, honest: State | None
     ) -> tuple[Decision, float]:
         """Condition the states on a match; the decision, unsure where the honest state refuses it, and its share."""
-        chance = self.chances[decision.observation]
         if decision.match is None:
-            return decision, chance
+            return decision, none
         chosen = next(one for one in found if one.candidate is decision.match)
         likelihood = self.log_likelihood(decision.observation, chosen.candidate)
         if honest is not None:
             innovation = honest.innovation(chosen.hypothesis)
             if innovation.candidate.p_value < self.gates.significance:
-                return replace(decision, verdict="unsure", match=None), chance
+                return replace(decision, verdict="unsure", match=None), none
             honest.condition(innovation)
             decision = replace(decision, match=innovation.candidate)
         state.condition(chosen)
@@ -110,15 +127,16 @@ class JointCompatibility:
         for index in self._firmest_first():
             if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
-            candidates = [innovation.candidate for innovation in innovations_of(self.hypotheses[index], self.state)]
-            match = self._decide(index, candidates, self.state).match
+            own = innovations_of(self.hypotheses[index], self.state)
+            none = self.log_likelihood_of_none(index, own)
+            match = self._decide(index, [one.candidate for one in own], none, self.state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:4]
 
-    def _decide(self, index: int, candidates: Sequence[Candidate], state: State) -> Decision:
+    def _decide(self, index: int, candidates: Sequence[Candidate], none: float, state: State) -> Decision:
         away, within = partial(self.gaps.away, index), partial(self.gaps.within, index, state=state)
-        return decide(index, candidates, self.chances[index], away, within, self.gates)
+        return decide(index, candidates, none, away, within, self.gates)
 
     def _firmest_first(self) -> list[int]:
         return sorted(range(len(self.n_points)), key=lambda i: (-self.n_points[i], i))
@@ -181,5 +199,5 @@ def _informed(joint: KeyedCovariance, hint: gtsam.NonlinearFactor | None, values
         jacobian, target = linear.jacobian()
         blank = Candidate(-1, 0.0, len(target), 0.0, False)
         columns = joint.columns(list(linear.keys()))
-        state.condition(state.innovation(Hypothesis(blank, columns, jacobian, target)))
+        state.condition(state.innovation(Hypothesis(blank, columns, jacobian, target, np.zeros(len(target)))))
     return state

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import log
 
 import numpy as np
 
-from factors.association.gating import Hypothesis, Innovation, State, innovations_of, log_parallel
+from factors.association.gating import Hypothesis, State, innovations_of
 from factors.association.joint_association import JointCompatibility, JointHypothesis
 
 #: Probability of each landmark (its id), and by None that it is none of them.
@@ -71,12 +70,12 @@ def _rivals(
     """
     rivals = []
     for index, hypotheses in enumerate(problem.hypotheses):
-        taken, chance = best.decisions[index].landmark, problem.chances[index]
-        candidates = (innovation.candidate for innovation in innovations_of(hypotheses, problem.state))
+        taken, innovations = best.decisions[index].landmark, innovations_of(hypotheses, problem.state)
+        none, candidates = problem.log_likelihood_of_none(index, innovations), [one.candidate for one in innovations]
         passing = [
             (one.log_likelihood - gaps[index][one.landmark], one.landmark)
             for one in candidates
-            if one.p_value >= problem.gates.significance and one.log_likelihood >= chance
+            if one.p_value >= problem.gates.significance and one.log_likelihood >= none
         ]
         most = max((log for log, _ in passing), default=0.0)
         rivals += [(most - log, index, landmark) for log, landmark in passing if landmark != taken]
@@ -103,7 +102,7 @@ def _weigh(problem: JointCompatibility, joint: JointHypothesis) -> tuple[float, 
             matched[index] = hypothesis
     for index, hypotheses in enumerate(problem.hypotheses):
         if index not in matched:
-            total += _log_none(problem, index, innovations_of(hypotheses, state))
+            total += problem.log_likelihood_of_none(index, innovations_of(hypotheses, state))
     return total, matched, state
 
 
@@ -124,7 +123,7 @@ def _each_left_out(state: State, matched: Sequence[tuple[int, Hypothesis]]) -> I
 def _conditional(problem: JointCompatibility, index: int, state: State, gaps: dict[int, float]) -> Posterior:
     """Posterior of one observation by a state."""
     innovations = innovations_of(problem.hypotheses[index], state)
-    logs: Posterior = {None: _log_none(problem, index, innovations)}
+    logs: Posterior = {None: problem.log_likelihood_of_none(index, innovations)}
     for candidate in (innovation.candidate for innovation in innovations):
         if candidate.p_value >= problem.gates.new_significance:
             logs[candidate.landmark] = candidate.log_likelihood - gaps[candidate.landmark]
@@ -132,9 +131,3 @@ def _conditional(problem: JointCompatibility, index: int, state: State, gaps: di
     shares = {landmark: float(np.exp(log - most)) for landmark, log in logs.items()}
     total = sum(shares.values())
     return {landmark: share / total for landmark, share in shares.items()}
-
-
-def _log_none(problem: JointCompatibility, index: int, innovations: Sequence[Innovation]) -> float:
-    """Log density of what is no landmark: half of such planes are turned anyhow, half are parallel to one."""
-    beside = (problem.parallel_chances[index] + log_parallel(innovation) for innovation in innovations)
-    return float(np.logaddexp.reduce([problem.chances[index], *beside])) - log(2.0)

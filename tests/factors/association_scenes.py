@@ -111,9 +111,9 @@ def scene(pose_covariance: np.ndarray, rng: np.random.Generator, mapped: tuple[i
     return Scene(values, [X, *map(key, mapped)], block_diag(*blocks), landmarks, truth)
 
 
-def scene_off_ahead(off_m: float, rng: np.random.Generator, mapped: tuple[int, ...]) -> Scene:
-    """A robot that is so far off along the world's x, where it is known to 0.25 m."""
-    place = scene(np.diag([1e-3, 1e-3, 3e-3, 0.25, 0.01, 1e-3]) ** 2, rng, mapped)
+def scene_off_ahead(off_m: float, rng: np.random.Generator, mapped: tuple[int, ...], sigma_m: float = 0.25) -> Scene:
+    """A robot that is so far off along the world's x, where it is known to a standard deviation."""
+    place = scene(np.diag([1e-3, 1e-3, 3e-3, sigma_m, 0.01, 1e-3]) ** 2, rng, mapped)
     place.values.update(X, gtsam.Pose3(place.truth.rotation(), place.truth.translation() + np.array([off_m, 0.0, 0.0])))
     axis = gtsam.Pose3(place.truth.rotation(), np.zeros(3)).inverse().AdjointMap()
     place.covariance[:6, :6] = axis @ place.covariance[:6, :6] @ axis.T  # along the world's axes

@@ -11,7 +11,7 @@ from shapely import box
 from benchmarks.growth import mission
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
 from factors.association.estimate import KeyedCovariance
-from factors.association.gating import Hypothesis, State, chi2_and_log_det
+from factors.association.gating import Hypothesis, State, eliminated
 from factors.association.joint_association import JointCompatibility
 from factors.association.observations import PlaneObservation
 from slam import Keyframe, PlaneSlam
@@ -24,14 +24,19 @@ from tests.slam.scenes import NOISE, PERIOD_NS
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 6])
-def test_chi2_and_log_det_are_those_of_numpy(size: int):
+def test_what_is_eliminated_in_scalars_is_what_numpy_solves(size: int):
     rng = np.random.default_rng(size)
     for scale in (1e-6, 1.0, 1e6):
         root = scale * rng.normal(size=(size, size))
-        covariance, residual = root @ root.T + np.eye(size), rng.normal(size=size)
-        chi2, log_det = chi2_and_log_det(residual.tolist(), covariance.tolist())
-        assert np.isclose(chi2, residual @ np.linalg.solve(covariance, residual), rtol=1e-6)
-        assert np.isclose(log_det, np.linalg.slogdet(2.0 * np.pi * covariance)[1], rtol=1e-9)
+        covariance, (residual, direction) = root @ root.T + np.eye(size), rng.normal(size=(2, size))
+        found, inverse = (
+            eliminated(covariance.tolist(), residual.tolist(), direction.tolist()),
+            np.linalg.inv(covariance),
+        )
+        assert np.isclose(found.chi2, residual @ inverse @ residual, rtol=1e-6)
+        assert np.isclose(found.log_det, np.linalg.slogdet(2.0 * np.pi * covariance)[1], rtol=1e-9)
+        assert np.isclose(found.pull, direction @ inverse @ residual, rtol=1e-5)
+        assert np.isclose(found.precision, direction @ inverse @ direction, rtol=1e-6)
 
 
 @pytest.mark.parametrize("dof", [1, 2, 3, 6])
@@ -108,7 +113,7 @@ def test_a_match_that_only_a_hint_makes_fit_is_not_used(target: float, verdict: 
 
     def hypothesis(sigma: float) -> Hypothesis:
         candidate, column = Candidate(0, 0.0, 1, 0.0, True), np.zeros(1, dtype=int)
-        return Hypothesis(candidate, column, np.eye(1) / sigma, np.array([target]) / sigma)
+        return Hypothesis(candidate, column, np.eye(1) / sigma, np.array([target]) / sigma, np.zeros(1))
 
     joint = KeyedCovariance([0], np.eye(1), [1])
 
