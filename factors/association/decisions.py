@@ -26,8 +26,8 @@ class AssociationGates:
     new_significance: float = 1e-6
     """A measurement starts a landmark only when every candidate lies above this quantile; between, it is unsure."""
     chance_factor: float = 1.0
-    """A match must be likelier than a plane there by chance, turned anyhow or parallel to a landmark; how dense planes
-    lie is taken from the landmarks about the observation, times this."""
+    """A match must be likelier than a plane there by chance, turned anyhow or, beside where the landmark was seen,
+    parallel to it; how dense planes lie is taken from the landmarks about the observation, times this."""
     rival_log_ratio: float = 4.6
     """A match waits while another landmark is at most exp(this) times less likely: 100 to 1."""
     max_angle_rad: float = 0.35

@@ -61,7 +61,7 @@ class JointCompatibility:
 
         The firmest observation comes first, so when that one is taken for the wall behind it, a notice-board's wall
         say, the pose goes with it and everything that is the wall no longer fits. Where an observation is left without
-        a landmark that it would have had on its own, everything is decided once more with that match first, and the
+        a landmark that it could have had on its own, everything is decided once more with that match first, and the
         joint hypothesis is kept under which all that was seen is likelier.
         """
         first = self.decide_all()
@@ -91,10 +91,10 @@ class JointCompatibility:
                 if index in decisions or (stage == "start" and (start is None or index != start[0])):
                     continue
                 found = innovations_of(self.hypotheses[index], state)
-                compared, none = [one.candidate for one in found], self.log_likelihood_of_none(index, found)
-                if stage == "start" and start is not None:
+                compared, none = [one.candidate for one in found], self._none(index, found)
+                if stage == "start" and start is not None:  # all that is seen says whether it is likelier than none
                     compared.sort(key=lambda one: one.landmark != start[1])
-                    decision = self._decide(index, compared[:1], none, state)
+                    decision = self._decide(index, compared[:1], -float("inf"), state)
                     decision = replace(decision, candidates=tuple(compared))
                 else:
                     decision = self._decide(index, compared, none, state)
@@ -122,17 +122,24 @@ class JointCompatibility:
         return decision, likelihood
 
     def _shut_out(self, found: JointHypothesis) -> list[tuple[int, int]]:
-        """Observations without a landmark that would have had one on their own, with it; four landmarks, each once."""
+        """Observations without a landmark that could have had one on their own, with it; four landmarks, each once."""
         tried: dict[int, int] = {}
         for index in self._firmest_first():
             if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
-            own = innovations_of(self.hypotheses[index], self.state)
-            none = self.log_likelihood_of_none(index, own)
-            match = self._decide(index, [one.candidate for one in own], none, self.state).match
+            candidates = [innovation.candidate for innovation in innovations_of(self.hypotheses[index], self.state)]
+            match = self._decide(index, candidates, -float("inf"), self.state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:4]
+
+    def _none(self, index: int, innovations: Sequence[Innovation]) -> float:
+        """The likelihood of none as it is decided by: parallel planes lie where the landmark itself was not seen.
+
+        By parallel planes anywhere true matches two sigmas off are refused where little is known of the pose.
+        """
+        apart = [one for one in innovations if self.gaps.away(index, one.candidate.landmark) > 0.0]
+        return max(self.chances[index], self.log_likelihood_of_none(index, apart))
 
     def _decide(self, index: int, candidates: Sequence[Candidate], none: float, state: State) -> Decision:
         away, within = partial(self.gaps.away, index), partial(self.gaps.within, index, state=state)

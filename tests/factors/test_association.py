@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import binom
 from shapely import box
+from shapely.affinity import translate
 
 import factors
 from factors import AssociationGates, LandmarkExtents, LineObservation, PlaneObservation, Prediction, associate
@@ -105,14 +106,22 @@ def test_two_walls_nearer_than_the_pose_is_known_are_told_apart_by_all_that_is_s
     assert min(one.probability for one in together) > 0.95
 
 
-@pytest.mark.parametrize(("sigma_m", "verdict"), [(0.02, "match"), (0.25, "unsure")])
-def test_what_lies_beside_a_landmark_is_another_plane_where_the_pose_is_poorly_known(sigma_m: float, verdict: str):
-    """2.6 standard deviations off either way: by chi2 one plane, though 0.65 m beside a wall others lie too."""
+@pytest.mark.parametrize(
+    ("sigma_m", "on_m", "verdict"), [(0.02, 1.0, "match"), (0.25, 1.0, "unsure"), (0.25, 0.0, "match")]
+)
+def test_what_lies_beside_a_landmark_is_another_plane_where_the_pose_is_poorly_known(
+    sigma_m: float, on_m: float, verdict: str
+):
+    """2.6 standard deviations off, and a metre on from where the wall was seen: 0.65 m beside it others lie too.
+
+    By chi2 it is the wall in each case. Where that was seen it is taken for it.
+    """
     place = scene_off_ahead(2.6 * sigma_m, np.random.default_rng(6), (0,), sigma_m)
-    [seen] = associate([place.seen(0, np.random.default_rng(7))], place.prediction, place.landmarks).identities
-    assert 5.0 < seen.candidates[0].chi2 < 8.0
-    assert seen.verdict == verdict
-    assert (seen.probabilities[key(0)] > 0.5) == (verdict == "match")
+    seen = place.seen(0, np.random.default_rng(7))
+    seen = replace(seen, outline=translate(seen.outline, (5.6 + on_m) * (on_m > 0.0)))
+    [one] = associate([seen], place.prediction, place.landmarks).identities
+    assert 5.0 < one.candidates[0].chi2 < 8.0
+    assert one.verdict == verdict and (on_m == 0.0 or (one.probabilities[key(0)] > 0.5) == (verdict == "match"))
 
 
 def test_of_two_faces_that_may_be_one_wall_it_is_the_one_seen_where_that_is_known():

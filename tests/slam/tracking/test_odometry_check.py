@@ -171,10 +171,13 @@ def test_odometry_is_believed_where_scans_fit_as_well_elsewhere(name: str, seed:
 def test_odometry_that_jumps_is_found_out(
     name: str, every: int, jump: tuple[float, float, float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By what is seen, where its readings do not tell: of few, or where somebody has made two steps of the jump."""
+    """By what is seen, where its readings do not tell: of few, or where somebody has made two steps of the jump.
+
+    The camera is known to 20 mm in the end.
+    """
     monkeypatch.setattr(odometry_readings, "_jumps", lambda stamps_ns, poses: np.zeros(0, dtype=np.int64))
     run, off = mapped_with_jump(make_drive(Recipe.parse(name), 612), every, jump)
-    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.01 and run.slam.odometry_record.steps[6].check.against
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.015 and run.slam.odometry_record.steps[6].check.against
 
 
 @pytest.mark.parametrize("aside_m", [0.05, 0.07])
