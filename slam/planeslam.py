@@ -23,6 +23,7 @@ from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane, map_planes
 from slam.map.sparsification import Sparsifier
 from slam.map.state import EstimatorState
+from slam.mapping.camera_errors import CameraErrors
 from slam.mapping.consistency import NisAudit
 from slam.mapping.fusion import Merges
 from slam.mapping.map_observability import open_in_map
@@ -96,6 +97,7 @@ class PlaneSlam:
         self._motion_model = MotionModel(state, start)
         self._associate, self._loop_closer = associate, loop_closer
         self._map_updater = MapUpdater(state, associate)
+        self._camera_errors = CameraErrors(state)
         self._same_plane = SamePlaneFinder(state)
         self.merges = Merges(state)
         self._closer = loop_closer(state, self.merges)
@@ -298,8 +300,8 @@ class PlaneSlam:
     def marginal_covariance(self, key: int) -> FloatArray:
         """Marginal covariance of a variable, in its GTSAM tangent order: (rx, ry, rz, x, y, z) for a pose.
 
-        Where errors of the wheels' calibration were found, the first one after a keyframe takes as long as eliminating
-        the whole graph: what is open about them is in it.
+        Where errors of the wheels' calibration were found, or a camera's is left open, the first one after a keyframe
+        takes as long as eliminating the whole graph: what is open about them is in it.
         """
         return self.backend.read_covariance(key)
 

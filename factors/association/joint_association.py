@@ -92,9 +92,9 @@ class JointCompatibility:
                     continue
                 found = innovations_of(self.hypotheses[index], state)
                 compared, none = [one.candidate for one in found], self._none(index, found)
-                if stage == "start" and start is not None:  # all that is seen says whether it is likelier than none
+                if stage == "start" and start is not None:  # all that is seen tells whether others are parallel
                     compared.sort(key=lambda one: one.landmark != start[1])
-                    decision = self._decide(index, compared[:1], -float("inf"), state)
+                    decision = self._decide(index, compared[:1], self.chances[index], state)
                     decision = replace(decision, candidates=tuple(compared))
                 else:
                     decision = self._decide(index, compared, none, state)
@@ -128,7 +128,7 @@ class JointCompatibility:
             if found.decisions[index].match is not None or not self.hypotheses[index]:
                 continue
             candidates = [innovation.candidate for innovation in innovations_of(self.hypotheses[index], self.state)]
-            match = self._decide(index, candidates, -float("inf"), self.state).match
+            match = self._decide(index, candidates, self.chances[index], self.state).match
             if match is not None:
                 tried.setdefault(match.landmark, index)
         return [(index, landmark) for landmark, index in tried.items()][:4]

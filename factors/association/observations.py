@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from factors.line import line_factor
 from factors.plane import plane_factor
 from spplanes import Plane, ScanLine
-from spplanes._check import FloatArray, as_number, as_positive, as_transform, check_instance, read_only
+from spplanes._check import FloatArray, as_float_array, as_number, as_positive, as_transform, check_instance, read_only
 from spplanes.outlines.extents import flatten, lift
 from spplanes.spmodel import skew
 
@@ -33,9 +33,19 @@ class PlaneObservation:
     plane: Plane
     """The plane, n toward the sensor, with the covariance of sensor (and in-window motion) noise only."""
     kind: str = "plane"
+    calibration_effect: FloatArray | None = None
+    """What errors of its sensor's calibration do to the plane's (z, theta, psi), m and rad, shape (3, K): K independent
+    ones of variance 1, the same whenever that sensor looks. They are in no covariance of the plane. None: none."""
+    sensor: str = ""
+    """Whose errors these are."""
 
     def __post_init__(self) -> None:
         check_instance("plane", self.plane, Plane)
+        if self.calibration_effect is not None:
+            effect = as_float_array("calibration_effect", self.calibration_effect)
+            if effect.ndim != 2 or len(effect) != 3 or not np.isfinite(effect).all():
+                raise ValueError(f"calibration_effect: expected finite numbers of shape (3, K), got {effect.shape}")
+            object.__setattr__(self, "calibration_effect", read_only(effect.copy()))
 
     @property
     def n_points(self) -> int:

@@ -28,7 +28,7 @@ class Backend(Elimination):
     def __init__(self, config: BackendConfig) -> None:
         super().__init__(config)
         self._past = PastPoses()
-        self._ask_shared: Callable[[], SharedUnknown | None] = lambda: None
+        self._ask_shared: list[Callable[[], SharedUnknown | None]] = []
 
     def _forget(self) -> None:
         self._whole: gtsam.Values | None = None
@@ -37,7 +37,7 @@ class Backend(Elimination):
         self._planes: dict[int, gtsam.OrientedPlane3] = {}
         self._delta: gtsam.VectorValues | None = None
         self._joint: JointCovariance | None = None
-        self._known_shared: SharedUnknown | None = None
+        self._known_shared: list[SharedUnknown] | None = None
 
     @property
     def values(self) -> gtsam.Values:
@@ -135,6 +135,10 @@ class Backend(Elimination):
         for key, base in bases.items():
             self._past.add(key, PastPose.of(base, self.pose(base), self.pose(key), joint.of([base, key])))
 
+    def has_plane(self, key: int) -> bool:
+        """Whether a landmark is a variable of the graph."""
+        return self._isam.valueExists(key)
+
     def plane(self, key: int) -> gtsam.OrientedPlane3:
         """A landmark variable, in its anchor's frame."""
         if key not in self._planes:
@@ -163,14 +167,22 @@ class Backend(Elimination):
         With the uncertainty of what factors share that is no variable of the graph, unless it is asked without.
         """
         joint = self._joint_of(keys)
-        if shared and self._known_shared is None:
-            self._known_shared = self._ask_shared()
-        unknown = self._known_shared if shared else None
-        return joint if unknown is None else joint.plus(np.vstack([unknown.effect_on(key) for key in keys]))
+        for unknown in self._shared() if shared else ():
+            joint = joint.plus(np.vstack([unknown.effect_on(key) for key in keys]))
+        return joint
 
     def share(self, unknown: Callable[[], SharedUnknown | None]) -> None:
-        """Let covariances that are read hold that of an unknown that factors share; it is asked for when they are."""
-        self._ask_shared = unknown
+        """Let covariances that are read hold that of an unknown that factors share; it is asked for when they are.
+
+        Of several unknowns each is as uncertain as the graph has it where the others are as they are taken to be.
+        """
+        self._ask_shared.append(unknown)
+
+    def _shared(self) -> list[SharedUnknown]:
+        """The unknowns that factors of the graph share, as it is."""
+        if self._known_shared is None:
+            self._known_shared = [one for one in (ask() for ask in self._ask_shared) if one is not None]
+        return self._known_shared
 
     @timed("optimise")
     def with_shared(self, key: int, instead: Mapping[int, gtsam.GaussianFactor]) -> SharedUnknown:

@@ -155,9 +155,17 @@ def measured_cloud(
         members = members_of(labels, len(planes))
         seen = zip(planes, (points.reshape(-1, 3)[some] for some in members), strict=True)
         planes = [sweeps.blurred(plane, some, sensor, begin) for plane, some in seen]
-    observations = [PlaneObservation(plane.transform(sensor.body_T_sensor)) for plane in planes]
+    observations = [_seen_by(sensor, scan.sensor, plane) for plane in planes]
     observations = sorted(observations, key=lambda seen: -seen.n_points)
     return ScanMeasurement(observations, surfaces_of(points, labels, hesse, sensor))
+
+
+def _seen_by(sensor: Sensor, name: str, plane: Plane) -> PlaneObservation:
+    """A plane in a sensor's frame as an observation of the body, with what the sensor's calibration leaves open."""
+    seen = plane.transform(sensor.body_T_sensor)
+    if sensor.warp is None:
+        return PlaneObservation(seen)
+    return PlaneObservation(seen, calibration_effect=sensor.warp.effect_on(plane.frame), sensor=name)
 
 
 def _begin_of(scan: CloudScan, sensor: Sensor) -> TurnBegin:

@@ -9,7 +9,10 @@ The mean residual of a plane over a cell of the image is its offset and tilt, wh
 and what its surface is uneven by (`spplanes.fitting.shared_error`). Waves of the warp are sought by generalised least
 squares with normal priors of equal variance an octave, whose two variances maximise the evidence (empirical Bayes).
 Uneven walls, and planes that are none, do not repeat by the pixel. Changes of inverse range that are linear in the
-image map planes to planes, so that no flatness tells them: of what grows with the range those waves stay nought.
+image map planes to planes, so that no flatness tells them: of what grows with the range those waves stay nought. Shares
+that are linear in the image bend but planes seen aslant, a little: less than the pieces these fall into leave to be
+seen. How far both may be off is as with the other waves, an octave's; it is kept with the warp (`left_open`), for
+whoever makes a map (`slam.mapping.camera_errors`).
 
 References:
     Teichman, Miller, Thrun, "Unsupervised intrinsic calibration of depth sensors via SLAM", RSS 2013.
@@ -142,22 +145,59 @@ def warp_of(planes: Sequence[_Cells]) -> RangeWarp | None:
     """The warp that residuals of planes refuse to be without; None: there is none, or too little is seen."""
     if not planes:
         return None
-    prior = _priors()
-    weights, gain = np.zeros(len(prior)), 0.0
+    prior = _Prior.of_waves()
+    best = _Warp(np.zeros(len(prior.variances)), 0.0, np.zeros(2))
     for _ in range(4):  # the unevenness of surfaces and the warp come to each other
-        weights, gain = _likeliest(*_told(planes, weights), prior)
-    if 2.0 * gain < chdtri(2, SIGNIFICANCE):
+        best = _likeliest(*_told(planes, best.weights), prior)
+    if 2.0 * best.evidence < chdtri(2, SIGNIFICANCE):
         return None
-    shares, per_m = (tuple(tuple(row) for row in part.tolist()) for part in weights.reshape(2, *_WAVES))
-    return RangeWarp(shares=shares, shares_per_m=per_m)
+    shares, per_m = (tuple(tuple(row) for row in part.tolist()) for part in best.weights.reshape(2, *_WAVES))
+    left = _left_open(planes, np.where(prior.linear, prior.deviations(best.octaves), 0.0))
+    return RangeWarp(shares=shares, shares_per_m=per_m, left_open=tuple(map(tuple, left.tolist())))
 
 
-def _priors() -> FloatArray:
-    """Variance of the weight of every wave where that of an octave is one, shape (2 K,); 0 where nothing tells it."""
-    i, j = np.meshgrid(*(np.arange(count) for count in _WAVES), indexing="ij")
-    square = i**2 + j**2
-    spectrum = 1.0 / np.maximum(square, 1)
-    return np.concatenate([np.where(square > least, spectrum, 0.0).ravel() for least in (0, 1)])
+@dataclass(frozen=True, eq=False)
+class _Prior:
+    """Of the weights of all waves where the variance of an octave is one."""
+
+    variances: FloatArray
+    """Shape (2 K,)."""
+    told: np.ndarray
+    """Whether flat surfaces tell of a wave, shape (2 K,)."""
+    linear: np.ndarray
+    """Whether it is about linear in the image, or the same all over it, shape (2 K,)."""
+
+    @classmethod
+    def of_waves(cls) -> _Prior:
+        """Of those over the image, and those times the range."""
+        i, j = np.meshgrid(*(np.arange(count) for count in _WAVES), indexing="ij")
+        square = (i**2 + j**2).ravel()
+        told = np.concatenate((square > 0, square > 1))
+        return cls(np.tile(1.0 / np.maximum(square, 1), 2), told, np.tile(square <= 1, 2))
+
+    def deviations(self, octaves: FloatArray) -> FloatArray:
+        """Of all weights by those of an octave, of waves that grow with the range and do not, shape (2 K,)."""
+        return np.sqrt(self.variances) * np.repeat(octaves, len(self.variances) // 2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Warp:
+    """What residuals say of the waves."""
+
+    weights: FloatArray
+    """Shape (2 K,)."""
+    evidence: float
+    """Of these over that of none, a logarithm."""
+    octaves: FloatArray
+    """Standard deviations of an octave, of waves that grow with the range and do not, shape (2,)."""
+
+
+def _left_open(planes: Sequence[_Cells], deviations: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of the share linear in the ray, g . u, that weights of these deviations make of all planes."""
+    waves = np.concatenate([plane.waves for plane in planes])
+    rays = np.concatenate([plane.points / np.linalg.norm(plane.points, axis=1)[:, None] for plane in planes])
+    effects = np.linalg.lstsq(rays, waves * deviations, rcond=None)[0]
+    return effects @ effects.T
 
 
 def _told(planes: Sequence[_Cells], weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -200,22 +240,23 @@ def _uneven(local: FloatArray) -> FloatArray:
     return 10.0 + np.log2(diameter / np.hypot(apart, 2.0 * MEAN_DISTANCE * side))
 
 
-def _likeliest(information: FloatArray, told: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
-    """Weights by the likeliest deviations of an octave, (2 K,), and by how much likelier these are than none.
+def _likeliest(information: FloatArray, told: FloatArray, prior: _Prior) -> _Warp:
+    """Weights by the likeliest deviations of an octave.
 
     Those of the parts that grow with the range and do not are looked for in turn, until neither gets likelier.
     """
     octaves = np.geomspace(1e-5, 0.1, 33).tolist()  # of one and 1/m
-    chosen, best = [0.0, 0.0], (np.zeros(len(prior)), 0.0)
+    best = _Warp(np.zeros(len(prior.variances)), 0.0, np.zeros(2))
     for _ in range(5):
-        before = best[1]
+        before = best.evidence
         for part in (0, 1):
             for octave in octaves:
-                tried = [octave if k == part else one for k, one in enumerate(chosen)]
-                found = _weighed(information, told, np.sqrt(prior) * np.repeat(tried, len(prior) // 2))
-                if found[1] > best[1]:
-                    best, chosen = found, tried
-        if best[1] == before:
+                tried = np.where(np.arange(2) == part, octave, best.octaves)
+                deviations = np.where(prior.told, prior.deviations(tried), 0.0)
+                weights, evidence = _weighed(information, told, deviations)
+                if evidence > best.evidence:
+                    best = _Warp(weights, evidence, tried)
+        if best.evidence == before:
             break
     return best
 

@@ -135,7 +135,8 @@ class Merges:
         back = replace(merge.gone, sightings=[], n_points=0)
         holder.seen_by_past = sorted({*holder.seen_by_past}.difference(back.seen_by_past))
         self._landmarks.plant(back)
-        self._move(taken, holder, back, initial=True)
+        # that of a prior map has stayed: what its planes share is one factor
+        self._move(taken, holder, back, initial=not self._backend.has_plane(back.key))
         later = [sighting for sighting in holder.sightings if sighting.keyframe > merge.keyframe]
         self._move([one for one in later if self._misfit(one, back) < self._misfit(one, holder)], holder, back)
         self._backend.settle(_ROUNDS)

@@ -209,8 +209,10 @@ class MapUpdater:
 
     def _see(self, insertion: Insertion, keyframe: int, factor_index: int, robust: str | None) -> None:
         """Let a landmark know what a keyframe saw of it, now that it is in the graph."""
-        sighting = Sighting(keyframe, insertion.number, factor_index, insertion.observation.kind, robust)
-        self._landmarks.see(insertion.landmark, insertion.observation, sighting, insertion.plane_T_body)
+        seen = insertion.observation
+        sensor = seen.sensor if isinstance(seen, PlaneObservation) else ""
+        sighting = Sighting(keyframe, insertion.number, factor_index, seen.kind, robust, sensor)
+        self._landmarks.see(insertion.landmark, seen, sighting, insertion.plane_T_body)
 
 
 def bends(turn: FloatArray, seen: Sequence[Observation]) -> bool:

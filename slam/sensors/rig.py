@@ -16,6 +16,7 @@ from spplanes.spmodel import transform_from_rpy
 
 #: Rows of weights, one for each wave down the image, of as many waves across it.
 Waves = tuple[tuple[Finite, ...], ...]
+Vector3 = tuple[Finite, Finite, Finite]
 
 
 class RangeWarp(Frozen):
@@ -33,6 +34,9 @@ class RangeWarp(Frozen):
     """Weights of the waves of a, of one."""
     shares_per_m: Waves
     """Of those of b, which grow with the range, 1/m; as many."""
+    left_open: tuple[Vector3, Vector3, Vector3] = ((0.0, 0.0, 0.0),) * 3
+    """Covariance (3, 3) of a vector g: by the share g . u ranges along unit rays u, in the camera's frame, may still be
+    too long. It is the same at all times, so it does not average out: all poses and planes have it."""
 
     @model_validator(mode="after")
     def _check_shape(self) -> RangeWarp:
@@ -40,6 +44,9 @@ class RangeWarp(Frozen):
             raise ValueError("expected as many rows of shares_per_m as of shares")
         if len({len(row) for row in (*self.shares, *self.shares_per_m)}) != 1:
             raise ValueError("expected rows of one length")
+        left = np.array(self.left_open)
+        if not np.allclose(left, left.T) or np.linalg.eigvalsh(left)[0] < -1e-9 * np.trace(left):
+            raise ValueError("expected a covariance as left_open: symmetric, and of no negative variance")
         return self
 
     def over(self, height: int, width: int) -> FloatArray:
@@ -54,6 +61,20 @@ class RangeWarp(Frozen):
         ranges = np.sqrt(np.einsum("hwi,hwi->hw", points, points))
         return points / (1.0 + share + per_m * ranges)[..., None]
 
+    def effect_on(self, plane: FloatArray) -> FloatArray:
+        """What is left open does to a plane in the camera's frame, its own frame (4, 4), centre where it was seen.
+
+        Three independent errors of variance 1 to its (z, theta, psi), shape (3, 3): seen along the ray u at a distance
+        r, a point of it is off along the normal n by (n . p) (g . u).
+        """
+        x, y, normal, centre = plane[:3, 0], plane[:3, 1], plane[:3, 2], plane[:3, 3]
+        far = float(np.linalg.norm(centre))
+        ray, off = centre / far, float(normal @ centre)
+        slopes = off / far * (np.stack((x, y)) - np.outer((x @ ray, y @ ray), ray))
+        values, vectors = np.linalg.eigh(np.array(self.left_open))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(np.stack((off * ray, -slopes[0], slopes[1])) @ root, dtype=np.float64)
+
 
 def waves(size: int, count: int) -> FloatArray:
     """The first cosines over so many pixels, shape (size, count)."""
@@ -66,9 +87,9 @@ class Mount(Frozen):
     R = Rz(yaw) Ry(pitch) Rx(roll). The body frame is x forward, y left, z up, its origin on the floor.
     """
 
-    xyz_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    xyz_m: Vector3 = (0.0, 0.0, 0.0)
     """Position of the sensor in the body frame, m."""
-    rpy_deg: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    rpy_deg: Vector3 = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of the sensor in the body frame, deg."""
     matrix: tuple[tuple[Finite, ...], ...] | None = None
     """The whole (4, 4) transform, in place of xyz_m and rpy_deg."""

@@ -11,7 +11,7 @@ from benchmarks.corpus.drives.sensing import camera_beams
 from slam.errors import LogError
 from slam.frontend.measurement import usable_points
 from slam.frontend.range_noise import with_shown_errors
-from slam.frontend.warp_calibration import _likeliest, _priors, with_warp
+from slam.frontend.warp_calibration import _likeliest, _Prior, with_warp
 from slam.io.default_rigs import depth_rig
 from slam.sensors.log import CloudScan, Log, StoredCloud
 from slam.sensors.rig import RangeWarp, Rig, Sensor
@@ -42,7 +42,9 @@ def noisy(points: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 def drawn(rng: np.random.Generator, octave: float, *, grows: bool) -> RangeWarp:
     """A warp as the prior has it, of waves that planes can tell."""
-    shares, per_m = (octave * np.sqrt(_priors()) * rng.standard_normal(len(_priors()))).reshape(2, 6, 8)
+    prior = _Prior.of_waves()
+    weights = np.where(prior.told, prior.deviations(np.full(2, octave)), 0.0) * rng.standard_normal(len(prior.told))
+    shares, per_m = weights.reshape(2, 6, 8)
     (shares if grows else per_m)[:] = 0.0
     return RangeWarp(shares=shares.tolist(), shares_per_m=per_m.tolist())
 
@@ -118,11 +120,12 @@ def test_what_maps_planes_to_planes_is_left() -> None:
 
 def test_few_cameras_without_a_warp_are_given_one() -> None:
     """What 100 of them would tell by noise alone: 1 in 1,000 is stated, and both variances have a bound at nought."""
-    rng, prior = np.random.default_rng(10), _priors()
-    root = rng.standard_normal((len(prior), len(prior))) * 1e3
+    rng, prior = np.random.default_rng(10), _Prior.of_waves()
+    count = len(prior.told)
+    root = rng.standard_normal((count, count)) * 1e3
     information, gains = root @ root.T, []
     for _ in range(100):
-        gains.append(_likeliest(information, root @ rng.standard_normal(len(prior)), prior)[1])
+        gains.append(_likeliest(information, root @ rng.standard_normal(count), prior).evidence)
     assert np.mean(2.0 * np.array(gains) > 13.8) <= 0.01 and np.mean(2.0 * np.array(gains) > 2.7) <= 0.15
 
 

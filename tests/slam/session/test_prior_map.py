@@ -79,6 +79,17 @@ def truth_of(one: MapPlane) -> Plane:
     return max(room_planes(), key=lambda plane: plane.normal @ one.plane.normal)
 
 
+def test_planes_of_a_map_that_were_taken_for_one_part_again():
+    """Their variables never left the graph: what they share is one factor of all of them."""
+    earlier, scene = mapped(3), drive(1003)
+    slam = run_of(scene.keyframes, PlaneSlam(prior=prior_of(earlier, rough_start(scene, np.random.default_rng(3)))))
+    before = [(one.id, one.observations) for one in slam.planes]
+    merge = slam.merges.merge(2, 3, "same plane")
+    assert [one.id for one in slam.planes] == [0, 1, 2, 4, 5]
+    slam.merges.undo(merge)
+    assert [(one.id, one.observations) for one in slam.planes] == before
+
+
 def test_what_planes_of_a_map_share_is_what_the_graph_says_they_do():
     """By differences, from the marginals of the graph solved as one; each one's own part is its covariance."""
     slam = mapped(0)
