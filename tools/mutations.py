@@ -567,6 +567,31 @@ turns: of two clouds one is bent the other way
 slam/tracking/bent_pair.py  tests/slam/tracking/test_bent_pair.py
 -by_motions = -_by_twist(theirs, normals),
 +by_motions = _by_twist(theirs, normals),
+
+association: planes beside a landmark are never another one
+factors/association/joint_association.py  tests/factors/test_association.py -k lies_beside
+-> 0.0]
++> 1e9]
+
+camera: what is left open tilts planes the other way
+slam/sensors/rig.py  tests/slam/mapping/test_camera_errors.py
+--slopes[0], slopes[1]
++slopes[0], slopes[1]
+
+camera: all that is left open of it is as unsure as before the map
+slam/mapping/camera_errors.py  tests/slam/mapping/test_camera_errors.py
+-np.linalg.inv(np.eye(len(graph.vector)) + graph.information)
++np.eye(len(graph.vector))
+
+camera: what the map says of its errors is not considered
+slam/mapping/camera_errors.py  tests/slam/mapping/test_camera_errors.py
+-left + np.outer(found, found)
++left
+
+prior map: of planes taken for one the younger comes into the graph again
+slam/mapping/fusion.py  tests/slam/session/test_prior_map.py -k part_again
+-initial=not self._backend.has_plane(back.key)
++initial=True
 """
 
 

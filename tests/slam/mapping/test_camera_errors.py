@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from factors.association.observations import PlaneObservation
-from slam import Keyframe
+from slam import Keyframe, PlaneSlam
 from slam.backend.estimator import pose_symbol
 from slam.sensors.rig import RangeWarp
 from spplanes import Location, Plane
@@ -42,9 +43,11 @@ def test_the_effect_on_a_plane_is_that_on_its_points(seed: int) -> None:
     np.testing.assert_allclose(effect @ effect.T, np.outer(moved, moved), atol=0.03 * scale)
 
 
-def seen_falsely(keyframes: list[Keyframe], names: tuple[str, ...], share: float, errors: FloatArray) -> list[Keyframe]:
-    """What cameras see whose ranges are too long by a share in any direction: every other plane by each of them."""
-    warp, found = open_by(share**2 * np.eye(3)), []
+def seen_falsely(
+    keyframes: list[Keyframe], names: tuple[str, ...], covariance: FloatArray, errors: FloatArray
+) -> list[Keyframe]:
+    """What cameras see of which a share is open, by errors of variance 1 (C, 3): every other plane by each of them."""
+    warp, found = open_by(covariance), []
     for frame in keyframes:
         planes = [one.plane for one in frame.observations if isinstance(one, PlaneObservation)]
         seen = []
@@ -66,7 +69,7 @@ def test_poses_and_planes_are_honest_though_no_error_averages_out(
     poses, planes, without = [], [], []
     for seed in range(24):
         errors, scene = np.random.default_rng(seed).standard_normal((2, 3)), drive(seed)
-        slam = run_of(seen_falsely(scene.keyframes, names, share, errors))
+        slam = run_of(seen_falsely(scene.keyframes, names, share**2 * np.eye(3), errors))
         key, estimate = pose_symbol(14), slam.trajectory.poses[14]
         poses.append(planar_nees(slam.marginal_covariance(key), scene.world_T_body[14], estimate))
         assert len(slam.planes) == 6
@@ -75,6 +78,34 @@ def test_poses_and_planes_are_honest_though_no_error_averages_out(
     assert_mean_in_band(np.array(poses), 3)
     assert 2.0 < np.mean(planes) < 4.0  # six planes of one error are no six draws
     assert np.mean(without) > 3.0 * times
+
+
+@pytest.mark.parametrize("names", [("camera",), ("front", "rear")])
+def test_covariances_have_what_runs_with_other_errors_say(names: tuple[str, ...]) -> None:
+    """The graph's chi2 and the last pose by the errors, from differences; of each camera one error, a real one of -0.9.
+
+    chi2(s) = const + 2 l s + s^T L s, of planes that errors s have moved.
+    """
+    scene, share, step = drive(5), np.array((1e-3, 5e-4, -5e-4)), 0.2
+    units = np.zeros((len(names), len(names), 3))
+    units[range(len(names)), range(len(names)), 2] = 1.0  # eigenvectors come with their eigenvalues ascending
+
+    def mapped(errors: FloatArray) -> PlaneSlam:
+        moved = np.tensordot(errors - 0.9, units, axes=1)
+        return run_of(seen_falsely(scene.keyframes, names, np.outer(share, share), moved))
+
+    key, none, steps = pose_symbol(14), np.zeros(len(names)), step * np.eye(len(names))
+    slam, ahead, back = mapped(none), [mapped(one) for one in steps], [mapped(-one) for one in steps]
+    now, there = slam.backend.chi2(), [one.backend.chi2() for one in ahead]
+    vector = np.array([a - b.backend.chi2() for a, b in zip(there, back, strict=True)]) / (4.0 * step)
+    both = [[mapped(one + other).backend.chi2() for one in steps] for other in steps]
+    information = (np.array(both) - np.add.outer(there, there) + now) / (2.0 * step**2)
+    poses = [[gtsam.Pose3(one.backend.pose(key)) for one in side] for side in (ahead, back)]
+    effect = np.stack([b.localCoordinates(a) for a, b in zip(*poses, strict=True)], axis=1) / (2.0 * step)
+    left = np.linalg.inv(np.eye(len(names)) + information)
+    wanted = effect @ (left + np.outer(left @ vector, left @ vector)) @ effect.T
+    added = slam.marginal_covariance(key) - slam.backend.covariance(key)
+    np.testing.assert_allclose(added, wanted, atol=0.05 * np.abs(wanted).max())
 
 
 def nees_of(plane: Plane) -> float:
