@@ -12,14 +12,7 @@ import numpy as np
 
 from factors.association.decisions import AssociationGates, Candidate, Decision, decide, is_open
 from factors.association.estimate import Estimate, KeyedCovariance, Landmark, PlacedLandmarks
-from factors.association.gating import (
-    Hypothesis,
-    Innovation,
-    State,
-    elsewhere,
-    hypotheses_of,
-    innovations_of,
-)
+from factors.association.gating import Hypothesis, Innovation, State, elsewhere, hypotheses_of, innovations_of
 from factors.association.observations import Observation, PlaneObservation
 from factors.association.shortlist import Gaps, bounds_of, log_density, log_parallel_density, shortlist
 from factors.plane import get_ready

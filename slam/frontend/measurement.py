@@ -163,7 +163,7 @@ def measured_cloud(
 def _seen_by(sensor: Sensor, name: str, plane: Plane) -> PlaneObservation:
     """A plane in a sensor's frame as an observation of the body, with what the sensor's calibration leaves open."""
     seen = plane.transform(sensor.body_T_sensor)
-    if sensor.warp is None:
+    if sensor.warp is None or not np.any(sensor.warp.left_open):
         return PlaneObservation(seen)
     return PlaneObservation(seen, calibration_effect=sensor.warp.effect_on(plane.frame), sensor=name)
 
