@@ -23,7 +23,7 @@ from slam.map.landmarks import LandmarkMap
 from slam.map.map_planes import MapPlane, map_planes
 from slam.map.sparsification import Sparsifier
 from slam.map.state import EstimatorState
-from slam.mapping.camera_errors import CameraErrors
+from slam.mapping.calibration_errors import CalibrationErrors
 from slam.mapping.consistency import NisAudit
 from slam.mapping.fusion import Merges
 from slam.mapping.map_observability import open_in_map
@@ -97,7 +97,7 @@ class PlaneSlam:
         self._motion_model = MotionModel(state, start)
         self._associate, self._loop_closer = associate, loop_closer
         self._map_updater = MapUpdater(state, associate)
-        self._camera_errors = CameraErrors(state)
+        self.backend.share(CalibrationErrors(state).unknown)
         self._same_plane = SamePlaneFinder(state)
         self.merges = Merges(state)
         self._closer = loop_closer(state, self.merges)

@@ -43,7 +43,7 @@ class PlaneObservation:
         check_instance("plane", self.plane, Plane)
         if self.calibration_effect is not None:
             effect = as_float_array("calibration_effect", self.calibration_effect)
-            if effect.ndim != 2 or len(effect) != 3 or not np.isfinite(effect).all():
+            if effect.ndim != 2 or len(effect) != 3 or not effect.size or not np.isfinite(effect).all():
                 raise ValueError(f"calibration_effect: expected finite numbers of shape (3, K), got {effect.shape}")
             object.__setattr__(self, "calibration_effect", read_only(effect.copy()))
 

@@ -88,6 +88,11 @@ class SharedUnknown:
             solutions.append(net.optimize(given))
         return cls(information, vector, tuple(solutions))
 
+    def posterior(self, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (K,) and covariance (K, K) of it by the graph and a prior of mean nought, which may know parts of it."""
+        covariance = prior @ np.linalg.inv(np.eye(len(prior)) + self.information @ prior)
+        return covariance @ self.vector, covariance
+
     def known(self, covariance: FloatArray) -> SharedUnknown:
         """With a covariance (K, K)."""
         values, vectors = np.linalg.eigh(covariance)  # of a part of it nothing may be unknown

@@ -12,7 +12,7 @@ Uneven walls, and planes that are none, do not repeat by the pixel. Changes of i
 image map planes to planes, so that no flatness tells them: of what grows with the range those waves stay nought. Shares
 that are linear in the image bend but planes seen aslant, a little: less than the pieces these fall into leave to be
 seen. How far both may be off is as with the other waves, an octave's; it is kept with the warp (`left_open`), for
-whoever makes a map (`slam.mapping.camera_errors`).
+whoever makes a map (`slam.mapping.calibration_errors`).
 
 References:
     Teichman, Miller, Thrun, "Unsupervised intrinsic calibration of depth sensors via SLAM", RSS 2013.

@@ -98,8 +98,8 @@ class Sighting:
     kind: str
     robust: str | None = None
     """Robust kernel on it where it is matched: of a place that the planes had to find some of it is wrong."""
-    sensor: str = ""
-    """The sensor whose errors of calibration it has; none: it has none that are known."""
+    sensor: str | None = None
+    """The sensor whose errors of calibration it has; None: it has none that are known."""
 
 
 class LandmarkMap(PlacedLandmarks[Landmark]):

@@ -210,7 +210,7 @@ class MapUpdater:
     def _see(self, insertion: Insertion, keyframe: int, factor_index: int, robust: str | None) -> None:
         """Let a landmark know what a keyframe saw of it, now that it is in the graph."""
         seen = insertion.observation
-        sensor = seen.sensor if isinstance(seen, PlaneObservation) else ""
+        sensor = seen.sensor if isinstance(seen, PlaneObservation) and seen.calibration_effect is not None else None
         sighting = Sighting(keyframe, insertion.number, factor_index, seen.kind, robust, sensor)
         self._landmarks.see(insertion.landmark, seen, sighting, insertion.plane_T_body)
 

@@ -109,8 +109,7 @@ def calibration_by_graph(steps: Sequence[MeasuredStep], backend: Backend) -> tup
     """
     graph = backend.with_shared(_KEY, {step.factor_index: _with_calibration(step, backend) for step in steps})
     prior = unknown_at_first(steps[0].motion)  # of which one error may be known to be none
-    covariance = prior @ np.linalg.inv(np.eye(2) + graph.information @ prior)
-    mean = covariance @ graph.vector
+    mean, covariance = graph.posterior(prior)
     log_odds = 0.5 * float(graph.vector @ mean - np.linalg.slogdet(np.eye(2) + prior @ graph.information)[1])
     some = 1.0 if np.any(steps[0].motion.calibration_sigmas) else float(expit(log_odds))
     covariance = some * (0.5 * (covariance + covariance.T) + (1.0 - some) * np.outer(mean, mean))

@@ -24,37 +24,36 @@ _KEY = gtsam.symbol("c", 1)
 _STEP = 1e-3
 
 
-class CameraErrors:
-    """Lets covariances that are read hold what planes have of errors of calibration (`calibration_effect`).
+class CalibrationErrors:
+    """What planes have of errors of their sensors' calibration (`calibration_effect`), an unknown that factors share.
 
     They are the same in every image, so they do not average out: ten thousand looks know a wall to a tenth of a
     millimetre, and a camera whose depths are long by 1 % has it 2 cm off. The graph goes on as it is. With c the
-    errors, of unit covariance, and G what they do to the residuals of all planes, the graph says of c the information L
-    and vector l, all else eliminated; what is left of them is C = (I + L)^-1, and C l is what poses and planes are not
-    given: both are considered.
+    errors, of unit covariance, the graph says what they are with the covariance C, all else eliminated; that mean is
+    what poses and planes are not given: both are considered.
     """
 
     def __init__(self, state: EstimatorState) -> None:
         self._keyframes, self._landmarks, self._backend = state.keyframes, state.landmarks, state.backend
-        self._backend.share(self._unknown)
 
-    def _unknown(self) -> SharedUnknown | None:
-        """All such errors of all sensors; None: no plane has any."""
-        seen = [(landmark, one) for landmark in self._landmarks for one in landmark.sightings if one.sensor]
+    def unknown(self) -> SharedUnknown | None:
+        """All such errors of all sensors, as the graph has them; None: no plane has any."""
+        seen = [(landmark, one) for landmark in self._landmarks for one in landmark.sightings if one.sensor is not None]
         if not seen:
             return None
         looks = list(self._looks(sorted(seen, key=lambda one: one[1].keyframe)))
-        widths = {one.observation.sensor: one.effect.shape[1] for one in looks}
-        ends = dict(zip(widths, np.cumsum(list(widths.values())).tolist(), strict=True))
-        instead = {}
+        widths: dict[str, int] = {}
         for look in looks:
-            end = ends[look.observation.sensor]
-            columns = slice(end - widths[look.observation.sensor], end)
-            instead[look.sighting.factor_index] = self._with_errors(look, columns, max(ends.values()))
+            widths[look.observation.sensor] = max(widths.get(look.observation.sensor, 0), look.effect.shape[1])
+        firsts = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
+        count = sum(widths.values())
+        instead = {
+            look.sighting.factor_index: self._with_errors(look, firsts[look.observation.sensor], count)
+            for look in looks
+        }
         graph = self._backend.with_shared(_KEY, instead)
-        left = np.linalg.inv(np.eye(len(graph.vector)) + graph.information)
-        found = left @ graph.vector
-        return graph.known(left + np.outer(found, found))
+        mean, covariance = graph.posterior(np.eye(count))
+        return graph.known(covariance + np.outer(mean, mean))
 
     def _looks(self, seen: Sequence[tuple[Landmark, Sighting]]) -> Iterator[_Look]:
         """What was seen, by keyframe: each is read once."""
@@ -66,22 +65,22 @@ class CameraErrors:
             assert isinstance(observation, PlaneObservation) and observation.calibration_effect is not None
             yield _Look(landmark, sighting, observation, observation.calibration_effect)
 
-    def _with_errors(self, look: _Look, columns: slice, count: int) -> gtsam.GaussianFactor:
-        """A plane's factor, linearised, with so many errors an unknown, of which some are its sensor's."""
+    def _with_errors(self, look: _Look, first: int, count: int) -> gtsam.GaussianFactor:
+        """A plane's factor, linearised, with so many errors an unknown, of which those from the `first` are its own."""
         seen, pose_key = look.observation, pose_symbol(look.sighting.keyframe)
 
-        def linear(observation: PlaneObservation) -> gtsam.JacobianFactor:
-            factor = observation_factor(observation, pose_key, look.landmark, self._backend, look.sighting.robust)
+        def linear(plane: Plane) -> gtsam.JacobianFactor:
+            measured = replace(seen, plane=plane)
+            factor = observation_factor(measured, pose_key, look.landmark, self._backend, look.sighting.robust)
             return factor.linearize(self._backend.values_of(factor.keys()))
 
-        as_seen, effects = linear(seen), []
+        as_seen = linear(seen.plane)
         jacobian, target = as_seen.jacobian()
-        for effect in look.effect.T:
-            other = linear(replace(seen, plane=_moved(seen.plane, _STEP * effect)))
-            effects.append((other.jacobian()[1] - target) / _STEP)
-        all_effects = np.zeros((len(target), count))
-        all_effects[:, columns] = np.stack(effects, axis=1)
-        return _joined(list(as_seen.keys()), jacobian, all_effects, target)
+        columns = np.zeros((len(target), count))
+        for number, effect in enumerate(look.effect.T, start=first):
+            moved = replace(seen.plane, frame=seen.plane.location.perturbed(_STEP * effect).transform)
+            columns[:, number] = (linear(moved).jacobian()[1] - target) / _STEP
+        return _joined(list(as_seen.keys()), jacobian, columns, target)
 
 
 class _Look(NamedTuple):
@@ -92,11 +91,6 @@ class _Look(NamedTuple):
     observation: PlaneObservation
     effect: FloatArray
     """Of the errors of its calibration, shape (3, K)."""
-
-
-def _moved(plane: Plane, perturbation: FloatArray) -> Plane:
-    frame = plane.location.perturbed(perturbation).transform
-    return Plane(frame, plane.covariance, plane.n_points, plane.outline, plane.chi2)
 
 
 def _joined(keys: Sequence[int], jacobian: FloatArray, columns: FloatArray, target: FloatArray) -> gtsam.GaussianFactor:

@@ -124,7 +124,27 @@ def test_what_has_no_errors_of_calibration_is_as_it_was() -> None:
     np.testing.assert_allclose(slam.marginal_covariance(key), other.marginal_covariance(key), rtol=1e-6, atol=1e-12)
 
 
-@pytest.mark.parametrize("effect", [np.zeros((2, 3)), np.zeros(3), np.full((3, 1), np.nan)])
+def test_sensors_of_any_name_and_number_of_errors_are_told_apart() -> None:
+    """One without a name, one that states more errors at times, one that states none: as by one error of each."""
+    scene = drive(2)
+    one, more = np.array([[1e-3], [0.0], [0.0]]), np.array([[1e-3, 0.0], [0.0, 0.0], [0.0, 0.0]])
+
+    def covariance(by_second: FloatArray, name: str) -> FloatArray:
+        stated = ((one, name), (by_second, "b"), (one, "b"), (None, "c"), (one, name), (None, ""))
+        frames = []
+        for frame in scene.keyframes:
+            planes = [seen.plane for seen in frame.observations if isinstance(seen, PlaneObservation)]
+            pairs = zip(planes, stated, strict=True)
+            seen = [
+                PlaneObservation(plane, calibration_effect=effect, sensor=sensor) for plane, (effect, sensor) in pairs
+            ]
+            frames.append(replace(frame, observations=seen))
+        return run_of(frames).marginal_covariance(pose_symbol(14))
+
+    np.testing.assert_allclose(covariance(more, ""), covariance(one, "a"), rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("effect", [np.zeros((2, 3)), np.zeros(3), np.zeros((3, 0)), np.full((3, 1), np.nan)])
 def test_an_effect_is_finite_and_of_three_rows(effect: FloatArray) -> None:
     with pytest.raises(ValueError, match=r"^calibration_effect: expected finite numbers of shape \(3, K\)"):
         PlaneObservation(room_planes()[0], calibration_effect=effect)
